@@ -1,4 +1,4 @@
-/* Roll-outs of servo joints (ident/servo/numpy_rollout.py and goals.py compute the same): lanes are columns. */
+/* Roll-outs of servo joints (ident/servo/rollout/numpy_rollout.py and goals.py compute the same): lanes are columns. */
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>

@@ -14,10 +14,10 @@ from scipy.optimize import minimize
 
 from drivers.core.arrays import FloatArray
 from ident.servo.contact import Surface
-from ident.servo.lanes import THINNED, Lanes, at_samples
 from ident.servo.links import ServoLinks
 from ident.servo.motion import SETTLING, ServoMotion, lanes_of, motion_load, motion_touch
-from ident.servo.rollout import roll_out
+from ident.servo.rollout.lanes import THINNED, Lanes, at_samples
+from ident.servo.rollout.rollout import roll_out
 from ident.servo.terms import INDEX
 
 AT_ONCE = 16

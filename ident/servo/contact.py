@@ -13,9 +13,9 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import BoolArray, FloatArray
 from ident.model.kinematics.loops import main_chain
 from ident.model.kinematics.urdf import urdf_model
-from ident.servo.lanes import Lanes, at_samples, repeated
 from ident.servo.links import ServoLinks
-from ident.servo.rollout import roll_out
+from ident.servo.rollout.lanes import Lanes, at_samples, repeated
+from ident.servo.rollout.rollout import roll_out
 from ident.servo.search import EVERY_ERROR, lane_cost, loss, robust_scale
 
 STIFFNESS = 2000.0

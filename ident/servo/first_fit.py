@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.lanes import Lanes, repeated
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion, some_pieces
+from ident.servo.rollout.lanes import Lanes, repeated
 from ident.servo.search import BLOCKED_LITTLE, EVERY_ERROR, evaluate, joint_cost, lane_cost, robust_scale, search
 from ident.servo.terms import INDEX, members, start_values, to_search, with_group
 

@@ -10,7 +10,6 @@ import numpy as np
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Surface, away, find_contact, in_contact
 from ident.servo.first_fit import FIRST_GROUPS, LIKE, error_scale, first_fit, limited_by, regressed_values, savings
-from ident.servo.lanes import Lanes
 from ident.servo.links import ServoLinks
 from ident.servo.motion import (
     PIECE,
@@ -22,7 +21,8 @@ from ident.servo.motion import (
     measured_load,
     some_pieces,
 )
-from ident.servo.rollout import with_pull
+from ident.servo.rollout.lanes import Lanes
+from ident.servo.rollout.rollout import with_pull
 from ident.servo.search import BLOCKED_LITTLE, EVERY_ERROR, evaluate, intervals, joint_cost, search
 from ident.servo.terms import GROUPS, INDEX, TERMS, members, to_search, with_group, without_group
 

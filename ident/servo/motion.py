@@ -11,8 +11,8 @@ import numpy as np
 from daq.recording.commanded_motion import TARGET, CommandedMotion
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import DataError
-from ident.servo.lanes import THINNED, Lanes, Touch
 from ident.servo.links import ServoLinks
+from ident.servo.rollout.lanes import THINNED, Lanes, Touch
 
 STEP = 0.005
 """[s] Longest step of a roll-out."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.lanes import Lanes, at_samples
-from ident.servo.rollout import roll_out
+from ident.servo.rollout.lanes import Lanes, at_samples
+from ident.servo.rollout.rollout import roll_out
 from ident.servo.terms import TERMS, from_search, to_search
 
 DAMPING_START = 1e-2

@@ -20,7 +20,7 @@ from drivers.core.errors import UsageError
 from drivers.core.options import check_kind
 from drivers.core.software import software_versions
 from drivers.streams import UNITS
-from ident.servo.goals import UNLIMITED
+from ident.servo.rollout.goals import UNLIMITED
 from sim_drivers.plant.sensors import quantised
 from sim_drivers.plant.servo import ServoArm, true_servos
 

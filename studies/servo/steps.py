@@ -18,9 +18,9 @@ from daq.recording.commanded_motion import TARGET, CommandedMotion
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from ident.servo import motion as pieces
-from ident.servo.lanes import at_samples
 from ident.servo.links import servo_links
-from ident.servo.rollout import roll_out
+from ident.servo.rollout.lanes import at_samples
+from ident.servo.rollout.rollout import roll_out
 from ident.servo.terms import INDEX, start_values
 from sim_drivers.synthetic.servo import servo_commands
 from studies.synthetic.altered_arms import true_values

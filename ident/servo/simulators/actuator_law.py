@@ -14,9 +14,9 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
-from ident.servo.goals import profile_goals
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion, known_load, lanes_of, measured_load
+from ident.servo.rollout.goals import profile_goals
 from ident.servo.search import EVERY_ERROR, evaluate, robust_scale, search
 from ident.servo.terms import INDEX, TERMS, members, to_search
 

@@ -9,12 +9,13 @@ import pytest
 
 from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
-from ident.servo import goals, rollout, search
+from ident.servo import search
 from ident.servo.fit import _believed
-from ident.servo.goals import goals_of, profile_goals
-from ident.servo.lanes import THINNED, Lanes, Touch, at_samples
 from ident.servo.motion import servo_motions
-from ident.servo.rollout import roll_out, with_pull
+from ident.servo.rollout import goals, rollout
+from ident.servo.rollout.goals import goals_of, profile_goals
+from ident.servo.rollout.lanes import THINNED, Lanes, Touch, at_samples
+from ident.servo.rollout.rollout import roll_out, with_pull
 from ident.servo.search import evaluate
 from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
 

@@ -22,9 +22,9 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthServo
 from ident.servo import arm_rollout
-from ident.servo.goals import profile_goals
 from ident.servo.identify import read_motions
 from ident.servo.links import servo_links
+from ident.servo.rollout.goals import profile_goals
 from ident.servo.simulators.actuator_law import FAITHFUL, actuator_law
 from ident.servo.simulators.isaaclab import PHYSICS_STEP, isaaclab_configuration, read_isaaclab
 from ident.servo.simulators.usd import read_usd, usd_installed

@@ -20,9 +20,9 @@ import numpy as np
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import UsageError
 from ident.compiled.library import Call, kernels
-from ident.servo.goals import Goals, goals_of
-from ident.servo.lanes import THINNED, Lanes, RollOut, at_samples
-from ident.servo.numpy_rollout import Together, roll_out_numpy
+from ident.servo.rollout.goals import Goals, goals_of
+from ident.servo.rollout.lanes import THINNED, Lanes, RollOut, at_samples
+from ident.servo.rollout.numpy_rollout import Together, roll_out_numpy
 from ident.servo.terms import INDEX, TERMS
 
 BACKLASH, BACKLASH_SPAN = INDEX["backlash"], 0.1

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.compiled.library import Call, kernels
-from ident.servo.lanes import Lanes
+from ident.servo.rollout.lanes import Lanes
 
 STEEPNESS_SPAN = 0.03
 """Half of the difference that gives derivatives by the logarithm of an acceleration limit."""

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.goals import Goals
-from ident.servo.lanes import THINNED, Lanes, RollOut, at_samples
+from ident.servo.rollout.goals import Goals
+from ident.servo.rollout.lanes import THINNED, Lanes, RollOut, at_samples
 from ident.servo.terms import INDEX, TERMS
 
 TOUCH_DAMPING = 0.01
