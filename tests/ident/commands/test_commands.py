@@ -235,8 +235,8 @@ BAD = [
     (["info", "newer.h5"], ["schema version 99", "update dynid"]),
     (["info", "foreign.h5"], ["not a dynid recording"]),
     (["identify", "norobot.h5"], ["carries no robot file", "--robot"]),
-    (["identify", "nan.h5"], ["not numbers", "position of elbow_joint", "sample 5"]),
-    (["identify", "inf.h5"], ["not numbers", "position of shoulder_lift_joint", "sample 7"]),
+    (["identify", "nan.h5"], ["not a number", "position of elbow_joint", "sample 5"]),
+    (["identify", "inf.h5"], ["not a number", "position of shoulder_lift_joint", "sample 7"]),
     (["identify", "backward.h5"], ["backward.h5", "backwards", "sample 100"]),
     (["identify", "still.h5"], ["still.h5", "nothing moves"]),
     (["identify", "short.h5"], ["short.h5"]),
@@ -304,7 +304,7 @@ def test_bad_input_with_json_is_an_object(monkeypatch, capsys, folder):
     status, out, err = run(monkeypatch, capsys, folder, "identify", "nan.h5", "--json")
     assert (status, err) == (2, "")
     told = json.loads(out)
-    assert "not numbers" in told["error"]
+    assert "not a number" in told["error"]
     assert "elbow_joint" in told["where"]
     assert told["hint"]
 
