@@ -32,7 +32,7 @@ from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Eve
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError, UsageError
-from drivers.core.files import ARRAY_FILE, open_input, path_of
+from drivers.core.files import ARRAY_FILE, HDF5_SIGNATURE, open_input, path_of
 from drivers.core.options import argument, keywords_of
 from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
 from drivers.core.software import software_versions
@@ -68,7 +68,7 @@ _MAGIC = (
     (b"\x89MCAP0\r\n", ".mcap"),
     (b"PK\x03\x04", ".npz"),
     (b"MATLAB ", ".mat"),
-    (b"\x89HDF\r\n\x1a\n", ".h5"),
+    (HDF5_SIGNATURE, ".h5"),
 )
 
 

@@ -17,7 +17,7 @@ from daq.recording.hdf5_bounds import Hdf5Bounds, hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RecordingError, UsageError
-from drivers.core.files import LONG_RECORDING_FILE, RECORDING_FILE, InputKind, check_input
+from drivers.core.files import HDF5_SIGNATURE, LONG_RECORDING_FILE, RECORDING_FILE, InputKind, check_input
 from drivers.core.ranges import STAMP
 from drivers.core.reading_process import read_apart
 from drivers.core.terminal import hidden_character
@@ -128,7 +128,7 @@ def read_open_recording(file: Any, path: Path, part: tuple[float, float] | None 
 def _has_hdf5_signature(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return file.read(8) == b"\x89HDF\r\n\x1a\n"
+            return file.read(8) == HDF5_SIGNATURE
     except OSError as error:
         raise RecordingError(f"cannot be read: {error.strerror}", where=str(path)) from error
 

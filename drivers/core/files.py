@@ -29,6 +29,9 @@ class InputKind:
     largest: int  # size [B] that is read; what is larger takes more than 20 s or 2 GB to read, or is no such file
 
 
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""First bytes of an HDF5 file."""
+
 ROBOT_FILE = InputKind("a robot file", 500 * KB)
 URDF_FILE = InputKind("a URDF", 10 * MB)
 MESH_FILE = InputKind("a mesh", 50 * MB)
@@ -141,6 +144,8 @@ def read_text(path: Path, kind: InputKind, refusal: type[InputError], hint: str 
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if content.startswith(HDF5_SIGNATURE):
+            raise refusal(f"is an HDF5 file, as recordings are, and not {kind.name}", where=str(path)) from error
         line = content[: error.start].count(b"\n") + 1
         raise refusal(
             f"cannot be read: is not UTF-8 text ({error.reason})", where=f"{path}, line {line}", hint="save it as UTF-8"

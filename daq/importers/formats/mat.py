@@ -17,9 +17,8 @@ from daq.importers.formats.npz import table_of_arrays
 from daq.importers.table import ForeignTable, check_count, parsing
 from daq.recording.hdf5_bounds import MOST_ENTRIES, Hdf5Bounds
 from drivers.core.errors import ImportFileError
-from drivers.core.files import ARRAY_FILE, check_input, open_input, size_text
+from drivers.core.files import ARRAY_FILE, HDF5_SIGNATURE, check_input, open_input, size_text
 
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
 _MAT5_HEADER = 128
 _COMPRESSED = 15  # miCOMPRESSED
@@ -35,8 +34,8 @@ def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
         ImportFileError: not a .mat file, or arrays that do not fit; with the variable.
     """
     with parsing(path, "a MATLAB file"), open_input(path, ARRAY_FILE, ImportFileError) as file:
-        head = file.read(_USER_BLOCK + len(_HDF5_SIGNATURE))
-    if head.endswith(_HDF5_SIGNATURE) or head.startswith(_HDF5_SIGNATURE):
+        head = file.read(_USER_BLOCK + len(HDF5_SIGNATURE))
+    if head.endswith(HDF5_SIGNATURE) or head.startswith(HDF5_SIGNATURE):
         return read_hdf5(path, joints, choices)
     from scipy.io import loadmat, whosmat
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.core.errors import UsageError
-from drivers.core.files import InputKind, check_input, read_bytes, read_text, size_text
+from drivers.core.files import HDF5_SIGNATURE, InputKind, check_input, read_bytes, read_text, size_text
 
 SMALL = InputKind("a small file", 100)
 
@@ -69,6 +69,13 @@ def test_a_file_that_says_it_is_empty_but_goes_on_is_refused() -> None:
     assert check_input(Path("/proc/self/smaps"), SMALL, UsageError) == 0
     with pytest.raises(UsageError, match="is larger than"):
         read_bytes(Path("/proc/self/smaps"), SMALL, UsageError)
+
+
+def test_a_recording_in_place_of_a_text_is_named_as_such(tmp_path: Path) -> None:
+    (tmp_path / "run.h5").write_bytes(HDF5_SIGNATURE + bytes(40))
+    with pytest.raises(UsageError, match="is an HDF5 file, as recordings are, and not a ") as refused:
+        read_text(tmp_path / "run.h5", SMALL, UsageError)
+    assert refused.value.hint == ""
 
 
 @given(st.binary(max_size=130))
