@@ -158,6 +158,11 @@ class _System:
 
 def _solved(reduction: Reduction, active: tuple[int, ...], weights: FloatArray) -> _System:
     count = len(active)
+    if not reduction.rows:
+        raise IdentificationError(
+            "no sample counts: in all of them the arm rests or is near a velocity reversal",
+            hint="record a motion of `dynid excite`",
+        )
     if reduction.rows <= count:
         raise IdentificationError(
             f"{reduction.rows} equations cannot determine {count} parameters", hint="record longer or decimate less"
