@@ -179,6 +179,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     ]
     regressor = tuple(tuple(column[joint] for column in columns) for joint in range(count))
 
+    pull = " ".join(f"{value:g}" for value in model.gravity)
     functions = [
         Function(
             "torque", "Torques of a motion, friction and motor inertia included.", ("q", "dq", "ddq"), "tau", (torque,)
@@ -186,7 +187,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
         Function(
             "coriolis", "Coriolis and centrifugal torques, the vector C(q, dq) dq.", ("q", "dq"), "tau", (coriolis,)
         ),
-        Function("gravity", "Torques of gravity.", ("q",), "tau", (gravity,)),
+        Function("gravity", f"Torques of gravity, {pull} m/s^2 in the base frame.", ("q",), "tau", (gravity,)),
         Function(
             "friction",
             "Torques of friction, constant offsets included.",

@@ -163,6 +163,7 @@ def test_a_source_does_not_compile_with_the_header_of_another_export(three_joint
     dynamics = dynamics_of(build_model(three_joint))
     write_c(dynamics, tmp_path / "arm")
     header = (tmp_path / "arm.h").read_text()
+    assert "Torques of gravity, 0 0 -9.81 m/s^2 in the base frame." in header
     other = InverseDynamics(dynamics.model, dynamics.base, 2.0 * dynamics.parameters)
     source = write_c(other, tmp_path / "arm", overwrite=True).path
     (tmp_path / "arm.h").write_text(header)
