@@ -91,6 +91,7 @@ class RegressorKernel:
         link_rows: where each link's rows are.
         tree: motion of the tree's joints as of the last `evaluate`.
         shares: (dof, n, m) R⁻ᵀGᵀ of then, where it varies; empty where it is constant.
+        filtered: rows of motions that were filtered, kept for the next pass over them (`filtered_samples`).
     """
 
     tree: TreeMotion
@@ -147,6 +148,7 @@ class RegressorKernel:
         self._recursed = True
         self._compiled = compiled_rows(model.joints, model.gravity, self.link_rows)
         self.shares = np.empty((0, 0, 0))
+        self.filtered: list[tuple[tuple[object, ...], list[FloatArray]]] = []
         loads = any(row.column.quantity in LOAD_KINDS for row in self.joint_parameter_rows)
         self._load = LoadTorqueKernel(model, chunk) if loads else None
 

@@ -7,8 +7,7 @@ squares with per-joint weights, subset selection and residual norms need. Factor
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -33,6 +32,9 @@ from ident.signals.prepared import Segment
 
 CONDITION_SAMPLES = 1000
 """Samples, spread over the data, that give condition and preconditioner before the first pass."""
+
+KEPT_AT_MOST = 32_000_000
+"""Filtered rows [bytes] that a kernel keeps: several passes over the same motion differ in torques and masks alone."""
 
 
 @dataclass(frozen=True)
@@ -152,9 +154,8 @@ def filtered_samples(
         torques: (m·n, N).
 
     Yields:
-        Samples whose arrays are valid until the next one is asked for.
+        Samples whose arrays are not to be written to.
     """
-    rows = kernel.row_count
     every = slice(None, None, parallel_filter.factor)
     used, reversing = segment.used[every], None if segment.reversing is None else segment.reversing[:, every]
 
@@ -167,23 +168,46 @@ def filtered_samples(
             torque[motor :: kernel.model.dof, left_out] = 0.0
         return FilteredSamples(regressor, torque, used[chunk], reversing[:, chunk])
 
-    motion = segment.position, segment.velocity, segment.acceleration
-    states = presliding_states(kernel.model, segment.velocity, segment.rate)
-    chunks = evaluate_in_chunks(kernel, *motion, segment.temperature, states)
-    if parallel_filter.factor == 1 and len(parallel_filter.sos) == 0:
-        for chunk, packed in chunks:
-            yield samples(packed, torques[:, chunk], chunk)
-        return
-    streamed = StreamedFilter(parallel_filter, rows + torques.shape[0])
+    chunks = (torques[:, start : start + kernel.chunk] for start in range(0, torques.shape[1], kernel.chunk))
+    filtered_torques = _streamed(parallel_filter, len(torques), chunks)
     position = 0
-    ready = (streamed.push(np.concatenate([packed, torques[:, chunk]])) for chunk, packed in chunks)
-    for filtered in itertools.chain(ready, _finished(streamed)):
-        if width := filtered.shape[1]:
-            yield samples(filtered[:rows], filtered[rows:], slice(position, position + width))
+    for regressor, torque in zip(_filtered_rows(kernel, segment, parallel_filter), filtered_torques, strict=True):
+        if width := regressor.shape[1]:
+            yield samples(regressor, torque, slice(position, position + width))
             position += width
 
 
-def _finished(streamed: StreamedFilter) -> Iterator[FloatArray]:
+def _filtered_rows(kernel: RegressorKernel, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[FloatArray]:
+    """A segment's packed rows (kernel.row_count, m), filtered, chunk by chunk; the kernel keeps them for the next pass.
+
+    They do not depend on which samples or equations take part.
+    """
+    motion = (segment.position, segment.velocity, segment.acceleration)
+    key = (*motion, segment.temperature, parallel_filter)
+    for kept, chunks in kernel.filtered:
+        if all(one is other for one, other in zip(kept, key, strict=True)):
+            yield from chunks
+            return
+    states = presliding_states(kernel.model, segment.velocity, segment.rate)
+    packed = (rows for _, rows in evaluate_in_chunks(kernel, *motion, segment.temperature, states))
+    chunks, size = [], 0
+    for rows in _streamed(parallel_filter, kernel.row_count, packed):
+        rows.setflags(write=False)
+        size += rows.nbytes
+        if size <= KEPT_AT_MOST:
+            chunks.append(rows)
+        yield rows
+    if size <= KEPT_AT_MOST:
+        kernel.filtered.append((key, chunks))
+        while sum(rows.nbytes for _, kept_chunks in kernel.filtered for rows in kept_chunks) > KEPT_AT_MOST:
+            kernel.filtered.pop(0)
+
+
+def _streamed(parallel_filter: ZeroPhaseFilter, rows: int, chunks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+    """Filter signals (rows, m) that come in chunks; the chunks of the output may be empty."""
+    streamed = StreamedFilter(parallel_filter, rows)
+    for chunk in chunks:
+        yield streamed.push(chunk)
     yield streamed.finish()
 
 

@@ -346,7 +346,7 @@ class StreamedFilter:
         self._outputs = [outputs[:, count:].copy()]
         self._gains = [gains[:, count:].copy()]
         self._pending -= count
-        return ready.reshape(self._rows, -1)
+        return ready.reshape(self._rows, count * ready.shape[2])
 
 
 def _flat(states: ComplexArray) -> FloatArray:

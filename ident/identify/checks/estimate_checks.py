@@ -14,7 +14,6 @@ from ident.estimators.feasible.consistent import ConsistentParameters, found_con
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification
 from ident.model.dynamics.inverse_dynamics import weights_in_offsets
-from ident.model.regressor import RegressorKernel
 from ident.regression.estimate import estimate_of
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FEWEST_BLOCKS
@@ -198,7 +197,7 @@ def reversal_checks(identification: Identification) -> list[Check]:
     if choices.estimator.equations == "energy" or choices.reversal_share >= STICKING_SHARE:
         return []
     before = by_joint(identification, identification.reduction)
-    kernel = RegressorKernel(identification.model, base.columns)
+    kernel = identification.estimation.kernel
     parts = [leave_out_reversals(kernel, run.prepared, STICKING_SHARE) for run in identification.runs]
     try:
         left = reduce_torques(kernel, parts, identification.experiment.torques)
