@@ -30,7 +30,7 @@ class Estimate:
     covariance: FloatArray  # (a, a) corrected for autocorrelated residuals
     # (a, b − a) how much of each base parameter without a value each estimated one absorbs, since the data confound
     # them
-    taken_up: FloatArray
+    absorbed: FloatArray
     blocks: int  # of the jackknife behind the covariance
     # (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where `covariance`
     # holds these, too; else None
@@ -42,7 +42,7 @@ class Estimate:
     def combinations(self, projection: FloatArray) -> FloatArray:
         """Return what the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
         others = [column for column in range(len(projection)) if column not in self.active]
-        return np.asarray(projection[list(self.active)] + self.taken_up @ projection[others])
+        return np.asarray(projection[list(self.active)] + self.absorbed @ projection[others])
 
 
 def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatArray, blocks: int) -> Estimate:
@@ -63,7 +63,7 @@ def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatA
         values=solution.parameters[active],
         root=triangular(factor[:, active])[:count] / deviation,
         covariance=covariance,
-        taken_up=_taken_up(factor, active, excited_columns(reduction)),
+        absorbed=_absorbed(factor, active, excited_columns(reduction)),
         blocks=blocks,
     )
 
@@ -78,7 +78,7 @@ def jackknifed_estimate(reduction: Reduction, solution: LeastSquares, corrected:
     )
 
 
-def _taken_up(factor: FloatArray, active: Sequence[int], excited: Sequence[int]) -> FloatArray:
+def _absorbed(factor: FloatArray, active: Sequence[int], excited: Sequence[int]) -> FloatArray:
     """Shares (a, b − a) of the columns that depend on the active ones.
 
     A column that is excited by itself and yet not active is the friction of a joint at rest: nothing absorbs it.

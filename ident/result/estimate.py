@@ -82,7 +82,7 @@ class EstimateResult(Stored):
         "where that is all of it",
     )
     shapes: list[ShapeErrorResult] = Field(default_factory=list, description="estimated shapes of friction, s of them")
-    taken_up: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
+    absorbed: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
     blocks: int = Field(description="of the jackknife behind the covariance")
 
     @field_validator("root", "covariance", "within")
@@ -120,9 +120,9 @@ class EstimateResult(Stored):
                 ShapeErrorResult(kind=kind, joint=joints[motor], covariance=row.tolist())
                 for (kind, motor), row in zip(estimate.shapes, estimate.shape_covariance, strict=True)
             ],
-            taken_up={
+            absorbed={
                 names[column]: shares.tolist()
-                for column, shares in zip(others, estimate.taken_up.T, strict=True)
+                for column, shares in zip(others, estimate.absorbed.T, strict=True)
                 if np.any(shares)
             },
             blocks=estimate.blocks,
@@ -139,17 +139,17 @@ class EstimateResult(Stored):
             raise ResultFileError("names parameters that have no value", where="estimate.parameters", hint=AGAIN)
         active = tuple(base.names.index(name) for name in self.parameters)
         others = [base.names[column] for column in range(base.count) if column not in active]
-        taken_up = np.zeros((count, len(others)))
-        for name, shares in self.taken_up.items():
+        absorbed = np.zeros((count, len(others)))
+        for name, shares in self.absorbed.items():
             if name not in others or len(shares) != count or not np.all(np.isfinite(shares)):
-                raise ResultFileError("does not fit the parameters", where=f"estimate.taken_up.{name}", hint=AGAIN)
-            taken_up[:, others.index(name)] = shares
+                raise ResultFileError("does not fit the parameters", where=f"estimate.absorbed.{name}", hint=AGAIN)
+            absorbed[:, others.index(name)] = shares
         return Estimate(
             active=active,
             values=np.array([values[name] for name in self.parameters], dtype=np.float64),
             root=_matrix(self.root),
             covariance=_matrix(self.covariance),
-            taken_up=taken_up,
+            absorbed=absorbed,
             blocks=self.blocks,
             within=None if self.within is None else _matrix(self.within),
             shape_covariance=self._shape_covariance(model),

@@ -164,6 +164,6 @@ def test_values_of_a_result_are_bounded() -> None:
         LinkResult.model_validate(link)
     with pytest.raises(ValidationError, match="at least 3 items"):
         LinkResult.model_validate(link | {"mass": 1.0, "com": [0, 0]})
-    estimate = {"parameters": ["a"], "root": [[1e308]], "covariance": [[1.0]], "taken_up": {}, "blocks": 30}
+    estimate = {"parameters": ["a"], "root": [[1e308]], "covariance": [[1.0]], "absorbed": {}, "blocks": 30}
     with pytest.raises(ValidationError, match="is not within"):
         EstimateResult.model_validate(estimate)

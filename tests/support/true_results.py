@@ -39,7 +39,7 @@ def true_result(
     if covariance is not None:
         root = np.linalg.qr(np.linalg.inv(np.linalg.cholesky(covariance)), mode="r")
         estimate = EstimateResult(
-            parameters=estimated, root=root.tolist(), covariance=covariance.tolist(), taken_up={}, blocks=20
+            parameters=estimated, root=root.tolist(), covariance=covariance.tolist(), absorbed={}, blocks=20
         )
     return Result(
         created="2026-11-22T00:00:00+00:00",

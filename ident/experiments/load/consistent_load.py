@@ -128,7 +128,7 @@ def _of_arm(estimate: Estimate, count: int) -> Estimate:
         values=estimate.values[of_arm],
         root=root,
         covariance=estimate.covariance[np.ix_(of_arm, of_arm)],
-        taken_up=estimate.taken_up[of_arm, : count - len(active)],
+        absorbed=estimate.absorbed[of_arm, : count - len(active)],
         blocks=estimate.blocks,
     )
 

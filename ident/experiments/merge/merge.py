@@ -50,7 +50,7 @@ class MergedEstimate:
     solution: LeastSquares  # by least squares; `rows` is the number of values merged, `residual_sum` the weighted one
     covariance: FloatArray  # (k, k) of the active parameters, from the experiments' covariances
     root: FloatArray  # (k, k) upper triangular square root of the summed information
-    taken_up: FloatArray  # (k, b − k) share of each inactive parameter in each active one
+    absorbed: FloatArray  # (k, b − k) share of each inactive parameter in each active one
     consistency: SignificanceTest | None  # whether the experiments agree; None where they share nothing
     # for each experiment (a,), how many standard deviations its values are from the merged ones; 0 where no other
     # experiment determines the same
@@ -146,7 +146,7 @@ def merge(informations: Sequence[Information], active: Sequence[int]) -> MergedE
         ),
         covariance=covariance,
         root=triangular(chosen),
-        taken_up=_without_rounding(inverse_factor @ (q.T @ system[:, inactive]), lengths),
+        absorbed=_without_rounding(inverse_factor @ (q.T @ system[:, inactive]), lengths),
         consistency=_consistency(
             right, spread, chosen, residual, min(information.blocks for information in informations)
         ),

@@ -145,7 +145,7 @@ def _result(
         values=solution.parameters[list(solution.active)],
         root=merged.root,
         covariance=merged.covariance,
-        taken_up=merged.taken_up,
+        absorbed=merged.absorbed,
         blocks=min(source.information.blocks for source in inputs),
         within=within,
     )

@@ -230,4 +230,4 @@ def _estimate(gram: FloatArray, values: FloatArray, whole: Estimate, count: int)
     deviation = np.sqrt(max(squared_error(gram, values) / count, np.finfo(float).tiny))
     root = np.linalg.cholesky(gram[np.ix_(active, active)]).T / deviation
     covariance = np.linalg.inv(root.T @ root)
-    return Estimate(whole.active, values[active], root, covariance, whole.taken_up, FOLDS)
+    return Estimate(whole.active, values[active], root, covariance, whole.absorbed, FOLDS)

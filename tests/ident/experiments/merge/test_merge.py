@@ -101,14 +101,14 @@ def test_exact_values_of_combinations_give_the_exact_parameters(seed, first, sec
     assert len(told) == min(5, first + second)
     merged = merge(parts, told)
     others = [column for column in range(5) if column not in told]
-    expected = truth[list(told)] + merged.taken_up @ truth[others]
-    scale = np.abs(truth[list(told)]) + np.abs(merged.taken_up) @ np.abs(truth[others])
+    expected = truth[list(told)] + merged.absorbed @ truth[others]
+    scale = np.abs(truth[list(told)]) + np.abs(merged.absorbed) @ np.abs(truth[others])
     assert np.max(np.abs(merged.solution.parameters[list(told)] - expected) / scale) < 1e-6
     # … and so another experiment that tells the rest apart completes them.
     rest = Information(truth, np.eye(5), np.eye(5), np.eye(5), BLOCKS)
     prior = Information(
         merged.solution.parameters[list(told)],
-        np.eye(5)[list(told)] + merged.taken_up @ np.eye(5)[others],
+        np.eye(5)[list(told)] + merged.absorbed @ np.eye(5)[others],
         merged.root,
         merged.covariance,
         BLOCKS,
@@ -215,6 +215,6 @@ def test_what_a_column_that_was_not_excited_left_in_the_others(dense_reduction):
     assert active == (0, 1, 2)
     solution = ordinary_least_squares(reduction, active)
     estimate = estimate_of(reduction, solution, solution.covariance, BLOCKS)
-    assert estimate.taken_up[:, 0] == pytest.approx([0.3, -40.0, 0.0], abs=1e-9)
+    assert estimate.absorbed[:, 0] == pytest.approx([0.3, -40.0, 0.0], abs=1e-9)
     assert estimate.combinations(np.eye(4)) @ truth == pytest.approx(solution.parameters[:3], rel=1e-6)
     assert np.linalg.inv(estimate.root.T @ estimate.root) == pytest.approx(solution.covariance, rel=1e-6)

@@ -264,7 +264,7 @@ def test_one_model_is_no_merge(results):
     ("change", "message"),
     [
         (lambda content: content.update(estimate=None), "earlier dynid"),
-        (lambda content: content["estimate"].update(taken_up={"XX9": [1.0]}), "taken_up.XX9"),
+        (lambda content: content["estimate"].update(absorbed={"XX9": [1.0]}), "absorbed.XX9"),
         (lambda content: content["estimate"]["parameters"].__setitem__(0, "XX9"), "estimate.parameters"),
         (lambda content: content["base_parameters"][0].update(value=None), "estimate.parameters"),
         (lambda content: content["experiments"][0].update(torques_of=["j9"]), "experiments.0"),
