@@ -469,6 +469,12 @@ def temperature_coefficients(root: float, slope: float, curvature: float) -> tup
     return (root - slope * reference - 4.0 * curvature, slope + 3.0 * curvature / reference, curvature * reference**3)
 
 
+def temperature_estimate(values: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """β1, β2, β3 of AUBO eq. 5 and their standard deviations, of the first k of Ft, Fts, Ftc with their (k, k)."""
+    to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)])[: len(values)].T
+    return to_beta @ values, np.sqrt(np.diag(to_beta @ covariance @ to_beta.T))
+
+
 def root_coefficients(beta1: float, beta2: float, beta3: float) -> tuple[float, float, float]:
     """Ft, Fts and Ftc from β1, β2 and β3 of AUBO eq. 5."""
     reference = REFERENCE_TEMPERATURE

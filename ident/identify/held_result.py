@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.friction.table import temperature_coefficients
+from ident.friction.table import temperature_estimate
 from ident.friction.terms import no_terms
 from ident.identify.held_friction import HeldFriction, HeldJoint, parameter_of
 from ident.identify.identification import Identification
@@ -90,13 +90,8 @@ def _friction(friction: list[JointFrictionResult], held: HeldFriction) -> list[J
 
 
 def _beta(joint: HeldJoint) -> dict[str, Any]:
-    to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)])[: len(joint.kinds)].T
-    covariance = to_beta @ joint.covariance @ to_beta.T
-    return {
-        "temperature": (to_beta @ joint.values).tolist(),
-        "temperature_std": np.sqrt(np.diag(covariance)).tolist(),
-        "temperature_origin": ORIGIN,
-    }
+    beta, std = temperature_estimate(joint.values, joint.covariance)
+    return {"temperature": beta.tolist(), "temperature_std": std.tolist(), "temperature_origin": ORIGIN}
 
 
 def _consistent(consistent: ConsistentModel, entries: list[BaseParameterResult]) -> ConsistentModel:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
-from ident.friction.table import SHAPED, TEMPERATURE_KINDS, TERM, TERMS, temperature_coefficients
+from ident.friction.table import SHAPED, TEMPERATURE_KINDS, TERM, TERMS, temperature_estimate
 from ident.friction.terms import FrictionTerms
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -226,17 +226,14 @@ def friction_results(
         if repeatability is not None:
             stated |= {f"{kind}_repeatability": value(kind, joint, repeatability) for kind in REPEATED_KINDS}
         places = [position.get((kind, joint)) for kind in TEMPERATURE_KINDS]
-        if any(place in solution.active for place in places):
-            # β is linear in Ft, Fts and Ftc.
-            to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)]).T
-            rows = [solution.active.index(place) if place in solution.active else None for place in places]
-            values = [0.0 if place not in solution.active else solution.parameters[place] for place in places]
-            shares = np.zeros((3, len(solution.active)))
-            for column, row in enumerate(rows):
-                if row is not None:
-                    shares[:, row] = to_beta[:, column]
-            stated["temperature"] = (to_beta @ np.array(values)).tolist()
-            stated["temperature_std"] = np.sqrt(np.einsum("ij,jk,ik->i", shares, covariance, shares)).tolist()
+        estimated = {term: place for term, place in enumerate(places) if place is not None and place in solution.active}
+        if estimated:
+            terms, rows = list(estimated), [solution.active.index(place) for place in estimated.values()]
+            values, of_terms = np.zeros(3), np.zeros((3, 3))
+            values[terms] = solution.parameters[list(estimated.values())]
+            of_terms[np.ix_(terms, terms)] = covariance[np.ix_(rows, rows)]
+            beta, deviations = temperature_estimate(values, of_terms)
+            stated["temperature"], stated["temperature_std"] = beta.tolist(), deviations.tolist()
         return stated
 
     return [

@@ -52,6 +52,7 @@ def add(
     """
     from daq.commands.console import print_json
     from drivers.core.errors import UsageError
+    from drivers.core.text import counted
     from ident.tasks.history import History
 
     if time is not None and len(results) > 1:
@@ -61,7 +62,7 @@ def add(
         print_json({"history": str(database), "added": new, "there_already": len(results) - new})
         return
     there = f", {len(results) - new} there already" if new < len(results) else ""
-    print(f"{database}: {new} {'result' if new == 1 else 'results'} added{there}\nnext: dynid history {database}")
+    print(f"{database}: {counted(new, 'result')} added{there}\nnext: dynid history {database}")
 
 
 @history_app.command("show")

@@ -148,7 +148,7 @@ class _OuterLoops:
 
     def no_worse(self, fit: RobustFit, before: RobustFit) -> bool:
         # All equations at one Ω: the accepted ones' spread would also fall by rejecting more of them.
-        losses = [one.loss(before.covariance, SHAPE_WEIGHTS) for one in (fit, before)]
+        losses = [of.loss(before.covariance, SHAPE_WEIGHTS) for of in (fit, before)]
         return losses[0] <= losses[1] + LOSS_TOLERANCE
 
     def reloaded(self, fit: RobustFit) -> tuple[Callable[[], RobustFit], float]:

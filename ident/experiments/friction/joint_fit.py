@@ -32,7 +32,7 @@ from ident.friction.table import (
     OPTIONS,
     SHAPED,
     TEMPERATURE_KINDS,
-    temperature_coefficients,
+    temperature_estimate,
 )
 from ident.friction.terms import FrictionTerms, friction_terms, no_terms
 from ident.identify.friction.candidates import CANDIDATE_KINDS, FOLDS, Candidate, CandidateGrams, term_candidates
@@ -302,10 +302,8 @@ class _JointFit:
         fields = friction_fields(solved.terms, 0, value, value.get, std.get)
         places = [kinds.index(kind) for kind in TEMPERATURE_KINDS if kind in value]
         if places:
-            to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)])[: len(places)].T
-            of_beta = to_beta @ covariance[np.ix_(places, places)] @ to_beta.T
-            fields["temperature"] = (to_beta @ values[places]).tolist()
-            fields["temperature_std"] = np.sqrt(np.diag(of_beta)).tolist()
+            beta, deviations = temperature_estimate(values[places], covariance[np.ix_(places, places)])
+            fields["temperature"], fields["temperature_std"] = beta.tolist(), deviations.tolist()
         kelvin, velocity = self.temperature, self._data.sampled([period.velocity for period in self._data.periods])
         stored = JointFrictionExperiment(
             joint=self._name,
