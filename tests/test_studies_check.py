@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from each import each
 
 from studies import check
 
@@ -36,7 +37,7 @@ def test_rows_that_agree_to_the_last_digit_are_not_stale():
     assert stale(PAGE, PRINTED) == []
 
 
-@pytest.mark.parametrize(
+@each(
     ("changed", "names"),
     [
         (("6.849", "6.2"), ["`ur10`, public"]),
@@ -86,7 +87,7 @@ def test_the_tolerance_is_relative():
     assert stale(page, PRINTED.replace("6.849", "6.2")) == ["`ur10`, public"]
 
 
-@pytest.mark.parametrize(
+@each(
     "comment",
     [
         "<!-- measured: rm -rf / -->",
@@ -183,7 +184,7 @@ def test_kept_outputs_are_not_measured_again(monkeypatch, tmp_path):
     assert runs == [command, command]
 
 
-@pytest.mark.parametrize(
+@each(
     ("stated", "measured", "same"),
     [("70 000", "69,500", True), ("4e-16", "4.4e-16", True), ("4e-16", "6e-16", False), ("0.0", "0.04", True)],
 )
@@ -209,7 +210,7 @@ def test_every_block_of_the_measurements_says_how_and_when_and_is_as_it_was_writ
             assert (ROOT / f"{study}.py").is_file(), block.place
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+@each("page", sorted((ROOT / "docs").glob("*.md")))
 def test_pages_for_users_leave_tables_of_figures_to_the_measurements(page):
     """`<!-- no measurement: … -->` says of a table of numbers that nothing was measured: limits, arithmetic."""
     text = page.read_text(encoding="utf-8")

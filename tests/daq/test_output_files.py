@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from each import each
 from file_faults import deaths, fault_at
 
 from daq.output_files import (
@@ -319,7 +320,7 @@ def test_a_file_takes_its_place_without_replacing_one_that_came_meanwhile(tmp_pa
         monkeypatch.setattr(os, "link", unsupported)
 
 
-@pytest.mark.parametrize("name", ["run.h5", "run", "a.b.h5", "[x]*?.h5", "ü" * 120 + ".h5", ".h5"])
+@each("name", ["run.h5", "run", "a.b.h5", "[x]*?.h5", "ü" * 120 + ".h5", ".h5"])
 def test_an_unfinished_file_says_whose_place_it_was_to_take(tmp_path: Path, name: str):
     path = tmp_path / name
     found = [unfinished_name(path) for _ in range(2)]

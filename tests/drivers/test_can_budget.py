@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -44,9 +45,7 @@ def test_no_frame_is_longer_and_the_simulated_bus_agrees(extended: bool, data: b
     assert exact_bits(frame) <= frame_bits(len(data), extended=extended) == worst_case_bits(frame)
 
 
-@pytest.mark.parametrize(
-    ("tpdos", "rpdos", "highest", "at_80_percent"), [(2, 0, 597, 478), (2, 1, 402, 322), (3, 1, 303, 243)]
-)
+@each(("tpdos", "rpdos", "highest", "at_80_percent"), [(2, 0, 597, 478), (2, 1, 402, 322), (3, 1, 303, 243)])
 def test_six_drives_at_a_megabit(tpdos: int, rpdos: int, highest: int, at_80_percent: int) -> None:
     budget = Budget(1e6, 400.0, synchronous_cycle(6, [8] * tpdos, [8] * rpdos))
     assert round(budget.highest_rate()) == highest

@@ -13,6 +13,7 @@ from typing import TextIO
 
 import pytest
 from command_line import run
+from each import each
 
 from daq.commands.app import app as daq_commands
 from daq.commands.help_text import GROUPS
@@ -105,9 +106,7 @@ def test_tab_completes(monkeypatch, capsys, tmp_path, words, expected):
     assert run(monkeypatch, capsys)[1].split() == expected
 
 
-@pytest.mark.parametrize(
-    "arguments", [["idntify"], ["identify"], ["info", "--nope"], ["robot", "show"], ["info", "--rate"]]
-)
+@each("arguments", [["idntify"], ["identify"], ["info", "--nope"], ["robot", "show"], ["info", "--rate"]])
 def test_bad_usage_is_one_line_and_exit_2(monkeypatch, capsys, arguments):
     status, out, err = run(monkeypatch, capsys, *arguments)
     assert status == 2

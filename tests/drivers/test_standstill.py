@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 
 from drivers.standstill import REST_SPEED, REST_WINDOW, StandstillWatch
 
@@ -17,7 +17,7 @@ def watched(speed: float, seconds: float, watch: StandstillWatch | None = None, 
     return watch
 
 
-@pytest.mark.parametrize(("seconds", "at_rest"), [(0.0, False), (0.9 * REST_WINDOW, False), (1.1 * REST_WINDOW, True)])
+@each(("seconds", "at_rest"), [(0.0, False), (0.9 * REST_WINDOW, False), (1.1 * REST_WINDOW, True)])
 def test_rest_takes_its_time(seconds: float, at_rest: bool) -> None:
     assert watched(0.0, seconds).at_rest == at_rest
     assert not watched(2.0 * REST_SPEED, seconds).at_rest

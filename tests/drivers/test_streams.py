@@ -4,13 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from each import each
 
 from drivers.base import require_state
 from drivers.core.errors import DriverStateError
 from drivers.streams import UNITS, Batch, ChannelLayout, StreamLayout
 
 
-@pytest.mark.parametrize("quantity", sorted(UNITS))
+@each("quantity", sorted(UNITS))
 def test_known_quantities_bring_their_unit(quantity: str) -> None:
     assert ChannelLayout(quantity, ("j1",)).unit == UNITS[quantity]
 
@@ -47,8 +48,8 @@ def test_blocks_do_not_share_their_values() -> None:
     assert one.lost == 0
 
 
-@pytest.mark.parametrize("allowed", ["closed", "open", "running"])
-@pytest.mark.parametrize("actual", ["closed", "open", "running"])
+@each("allowed", ["closed", "open", "running"])
+@each("actual", ["closed", "open", "running"])
 def test_a_state_allows_what_is_its_own(actual: str, allowed: str) -> None:
     if actual == allowed:
         require_state(actual, allowed, "read")  # type: ignore[arg-type]

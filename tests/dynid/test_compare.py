@@ -9,6 +9,7 @@ from dataclasses import replace
 import command_line
 import numpy as np
 import pytest
+from each import each
 
 import dynid
 from drivers.core.errors import UsageError
@@ -105,7 +106,7 @@ def test_errors_name_the_recordings_that_are_not_held_out(comparison):
     assert "NOT" not in str(comparison)
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "message"),
     [
         ({"methods": ("magic",)}, "no method is called 'magic'"),

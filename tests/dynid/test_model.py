@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from each import each
 from loop_arms import FOUR_BAR, four_bar_arm
 from true_results import true_result
 
@@ -87,8 +88,8 @@ def test_torque_is_that_of_the_plant_with_loops_and_coupled_motors(name):
     np.testing.assert_allclose(without_friction, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("count", [1, 30, MANY])
+@each("name", ARMS)
+@each("count", [1, 30, MANY])
 def test_the_regressor_times_the_parameters_is_the_torque(name, count):
     model = true_model(name)
     q, dq, ddq = states(name, count)
@@ -295,7 +296,7 @@ def test_without_a_covariance_there_is_no_torque_std():
         true_model("up6").torque_std(q, dq, ddq)
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "message"),
     [
         (([0.0] * 5, [0.0] * 5, [0.0] * 5), r"q: has shape \(5,\); \(6,\) or \(N, 6\) is needed"),

@@ -6,6 +6,7 @@ import builtins
 
 import numpy as np
 import pytest
+from each import each
 
 import dynid
 
@@ -48,7 +49,7 @@ def test_two_recordings_in_memory_keep_their_own_windows_and_hashes(result):
     assert len(learnt.sha256) == 64
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"position": lambda q: q.T}, r"position: has shape \(6, 400\); \(400, 6\) is needed \(it is transposed"),

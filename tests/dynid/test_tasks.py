@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 from command_line import stored
+from each import each
 from loaded_arm import LOAD, runs
 from typer.main import get_command
 
@@ -104,7 +105,7 @@ def test_merge_halves_the_variance(result, other, run):
         dynid.merge([result, result])
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "message"),
     [
         ({"method": "magic"}, "no method is called 'magic'"),

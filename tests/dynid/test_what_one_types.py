@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from each import each
 
 import dynid
 
@@ -72,7 +73,7 @@ FRAMES = {
 """Data frames, with what to type beside them."""
 
 
-@pytest.mark.parametrize("name", FRAMES)
+@each("name", FRAMES)
 def test_a_data_frame_becomes_a_recording(name):
     data, options = FRAMES[name](frame())
     run = dynid.Recording.from_dataframe("ur5e", data, **options)
@@ -94,7 +95,7 @@ REFUSED_FRAMES = {
 }
 
 
-@pytest.mark.parametrize("name", REFUSED_FRAMES)
+@each("name", REFUSED_FRAMES)
 def test_a_data_frame_that_is_refused_says_what_to_type(name):
     change, message = REFUSED_FRAMES[name]
     with pytest.raises(dynid.DynidError, match=message) as refused:
@@ -131,7 +132,7 @@ def test_a_tensor_with_a_gradient_says_what_torch_says(result):
             refused()
 
 
-@pytest.mark.parametrize(
+@each(
     ("given", "door"),
     [
         (lambda: frame(), "from_dataframe"),

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -89,7 +90,7 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", OPTIONS)
+@each("name", OPTIONS)
 def test_an_absurd_option_is_refused_before_any_work(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -97,7 +98,7 @@ def test_an_absurd_option_is_refused_before_any_work(name: str) -> None:
             OPTIONS[name]()
 
 
-@pytest.mark.parametrize("factor", [1e-12, 1e-300, 1e12])
+@each("factor", [1e-12, 1e-300, 1e12])
 def test_stamps_of_another_unit_are_refused_without_a_warning(factor: float) -> None:
     def check() -> None:
         time = np.arange(1, 1000) / 500 * factor
@@ -110,7 +111,7 @@ def test_stamps_of_another_unit_are_refused_without_a_warning(factor: float) -> 
             check()
 
 
-@pytest.mark.parametrize("factor", [1e-12, 1e-300, 1e12])
+@each("factor", [1e-12, 1e-300, 1e12])
 def test_info_refuses_stamps_of_another_unit(factor: float) -> None:
     time = np.arange(1, 500) / 500
     position = np.sin(time)[:, None] * np.ones(6)
@@ -151,8 +152,8 @@ def test_any_number_of_a_robot_file_is_taken_or_refused(key: str, value: float) 
     assert "\n" not in refused
 
 
-@pytest.mark.parametrize("key", SENSIBLE)
-@pytest.mark.parametrize("value", ["1e200", "1e308", "9" * 5000])
+@each("key", SENSIBLE)
+@each("value", ["1e200", "1e308", "9" * 5000])
 def test_an_absurd_number_of_a_robot_file_is_named(key: str, value: str) -> None:
     with pytest.raises(RobotFileError, match=r"is not within|cannot read the number"):
         parse_robot(ARM.format(**SENSIBLE | {key: value}), where="arm.yaml", folder=None)

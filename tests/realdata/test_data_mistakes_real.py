@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
@@ -161,8 +162,8 @@ def test_a_zero_that_is_off_by_5_degrees(data_dir: Path, name: str, joint: int) 
     assert np.rad2deg(estimate.value) == pytest.approx(-5.0, abs=2.0)
 
 
-@pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1])
-@pytest.mark.parametrize("name", ARMS)
+@each("factor", [1000.0, 10.0, 0.1])
+@each("name", ARMS)
 def test_torques_of_another_unit(data_dir: Path, name: str, factor: float) -> None:
     """Milliampere, and gains that are missing or applied twice; the TX40's torques show in its URDF's mass."""
     sound = found(name, data_dir)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 from servoed_plant import in_simulated_time
 
 import sim_drivers.rtde.demo
@@ -164,7 +165,7 @@ def test_a_motion_that_a_busy_computer_ended_is_recorded_again(tmp_path, fails):
     assert told == ["the recording stopped: this computer stalled; recording again"] * (len(served) - 1)
 
 
-@pytest.mark.parametrize("duration", [0.0, -5.0, 1.9, 1e9, float("nan")])
+@each("duration", [0.0, -5.0, 1.9, 1e9, float("nan")])
 def test_a_duration_that_makes_no_sense_is_refused(duration):
     with pytest.raises(UsageError, match="--duration"):
         DemoOptions(duration=duration)

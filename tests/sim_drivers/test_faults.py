@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from each import each
 
 from drivers.core.errors import UsageError
 from sim_drivers import faults
@@ -53,7 +54,7 @@ SERVERS: tuple[faults.ServerKind, ...] = (
 )
 
 
-@pytest.mark.parametrize("server", SERVERS)
+@each("server", SERVERS)
 def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: faults.ServerKind) -> None:
     assert {entry.usage for entry in faults.FAULTS} == set(TYPED)
     obeyed = faults.usage(server).removeprefix("thermometer ").split(" | ")
@@ -100,7 +101,7 @@ OUT_OF_BOUNDS = [
 ]
 
 
-@pytest.mark.parametrize("server", SERVERS)
+@each("server", SERVERS)
 def test_a_word_or_an_argument_out_of_its_bounds_is_refused(server: faults.ServerKind) -> None:
     for line in OUT_OF_BOUNDS:
         with pytest.raises(UsageError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
@@ -16,7 +17,7 @@ def test_a_position_is_a_number_for_each_joint() -> None:
     np.testing.assert_array_equal(position, [0.1, -1.5, 0.1, 0.0, 0.0, -0.25])
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "said"),
     [
         ("", "is not a position"),

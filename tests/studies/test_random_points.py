@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.motion.limits import check_limits, check_rest, motion_extremes
 from daq.robot.loader import builtin_robots, load_robot
 from studies.synthetic.random_points import LIMIT_SHARE, random_points_motion
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@each("name", builtin_robots())
 def test_limits_are_kept_and_used(name):
     robot = load_robot(name).robot
     motion = random_points_motion(robot, seed=1, moves=12)

@@ -9,6 +9,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+from each import each
 from exact_plant import ExactPlant
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -94,7 +95,7 @@ def test_version_and_rate_are_announced_and_kept_by_the_hosts_clock(
         assert float(client.row()["timestamp"]) == pytest.approx(wires.clock.now() - START + 1.0 / rate)
 
 
-@pytest.mark.parametrize("rate", [125.0, 100.0, 50.0])
+@each("rate", [125.0, 100.0, 50.0])
 def test_a_client_gets_the_rate_that_it_asked_for(wires: Wires, rate: float) -> None:
     client = wires.client()
     client.stream(["timestamp"], rate)
@@ -270,7 +271,7 @@ def test_another_protocol_version_is_refused(wires: Wires) -> None:
 SERVICES: tuple[Service, ...] = ("rtde", "dashboard", "script")
 
 
-@pytest.mark.parametrize(
+@each(
     "rubbish",
     [b"GET / HTTP/1.1\r\n\r\n", bytes(range(256)) * 40, b"\x00\x00\x00", b"\x00\x02V", b"\xff\xff?" + b"x" * 70000],
 )
@@ -362,7 +363,7 @@ def test_what_cannot_be_served_is_refused(clock: SimulatedClock) -> None:
         RtdeServer(ExactPlant(), ports=Ports(server.ports.rtde, 0, 0, 0), clock=clock).start()
 
 
-@pytest.mark.parametrize(
+@each(
     ("robot", "wire_name", "version", "message"),
     [
         ("ur5e", "carrier-pigeon", "5.22", "cannot be simulated"),

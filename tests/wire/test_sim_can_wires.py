@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.clock import SYSTEM_CLOCK
@@ -25,7 +26,7 @@ def test_the_options_choose_bus_and_nodes() -> None:
         served.obey("nonsense")
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "message"),
     [
         (SimOptions(robot="ur5e", wire="canopen", swap="1"), "two joints"),

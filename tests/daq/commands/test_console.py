@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 
-import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,7 +48,7 @@ def test_numbers_as_keys_and_tuples(capsys):
     assert json.loads(capsys.readouterr().out) == {"1": [1.5, None, {"τ": None}]}
 
 
-@pytest.mark.parametrize(
+@each(
     ("value", "shown"),
     [
         (None, "–"),

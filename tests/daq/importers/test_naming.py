@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from drivers.core.errors import UsageError
 NAMES = ("shoulder", "elbow", "wrist")
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "expected"),
     [
         ("q1", ("position", 1, None, "")),
@@ -95,7 +96,7 @@ def test_any_name_is_parsed(name: str) -> None:
     assert role is None or role.name == name
 
 
-@pytest.mark.parametrize(
+@each(
     ("choices", "message"),
     [
         ({"repair": frozenset({"drop-nans"})}, "unknown repair 'drop-nans'.*did you mean 'drop-nan'"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_links import NAMES, Arrays, content, make_robot, messages, samples, write_csv, write_npz
@@ -110,7 +111,7 @@ def test_units_that_leave_a_choice_give_no_meaning(names: list[str]) -> None:
 CSV = ["a", "b1", "b2", "b3", "b3 [deg]", "c", "c"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("choice", "error", "message"),
     [
         ({"position": "9"}, ImportFileError, "columns 1 to 7, but --column asks for 9"),

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -106,7 +107,7 @@ def test_the_path_stays_and_velocities_are_divided(scale, motion):
     check_rest(slow, load_robot("up6").robot.joints[:2], "slow")
 
 
-@pytest.mark.parametrize("scale", [0.0, -0.5, 1.01, np.nan, np.inf])
+@each("scale", [0.0, -0.5, 1.01, np.nan, np.inf])
 def test_a_motion_is_never_played_faster(scale):
     with pytest.raises(UsageError, match="above 0 and at most 1"):
         TimeScaled(POINTS, scale)

@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -119,7 +120,7 @@ def test_a_motion_that_is_accepted_keeps_its_limits_at_any_time(motion, seed, sh
         assert np.all(seen <= allowed + ROUNDING * np.maximum(1.0, np.abs(seen)))
 
 
-@pytest.mark.parametrize("ramp", [1e-3, 1e-4, 1e-6])
+@each("ramp", [1e-3, 1e-4, 1e-6])
 def test_a_ramp_between_two_points_of_a_grid_is_seen(ramp):
     motion = RestToRest(FourierSeries(10.0, np.zeros(1), np.array([[0.6]]), np.array([[0.0]])), 1, ramp)
     with pytest.raises(UsageError, match=r"joint j1: acceleration 1[.0-9e+]* at 0.00"):
@@ -143,7 +144,7 @@ def limits(position: float, velocity: float, acceleration: float) -> list[JointL
 ONE_SINE = FourierSeries(2.0, np.array([0.0]), np.array([[1.0]]), np.array([[0.0]]))  # 1/π rad, 1 rad/s, π rad/s²
 
 
-@pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
+@each("quantity", ["position", "velocity", "acceleration"])
 def test_limits_are_sharp(quantity):
     exact = {"position": 1.0 / np.pi, "velocity": 1.0, "acceleration": np.pi}
     check_limits(ONE_SINE, limits(**exact), "test")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from simulated_clock import SimulatedClock
 
 from daq.motion.player import DRY_RUN, STALL_LIMIT, MotionSequence, Player, dry_run, skip_limit
@@ -69,7 +70,7 @@ def test_positions_are_sent_by_absolute_times_and_the_last_is_held(clock: Simula
     assert figures.max_ms < 1e-6
 
 
-@pytest.mark.parametrize(("rate", "skipped"), [(500.0, 3), (250.0, 2), (125.0, 1), (100.0, 1)])
+@each(("rate", "skipped"), [(500.0, 3), (250.0, 2), (125.0, 1), (100.0, 1)])
 def test_few_overdue_positions_are_skipped(rate: float, skipped: int) -> None:
     assert skip_limit(1.0 / rate) == skipped
 
@@ -261,7 +262,7 @@ class LateClock(SimulatedClock):
         return super().sleep_until(moment + self.lateness) + self.lateness
 
 
-@pytest.mark.parametrize(("periods", "refused"), [(0.0, False), (0.9, False), (4.9, False), (5.1, True)])
+@each(("periods", "refused"), [(0.0, False), (0.9, False), (4.9, False), (5.1, True)])
 def test_a_dry_run_refuses_a_computer_that_is_too_slow(periods: float, refused: bool) -> None:
     clock = LateClock()
     clock.lateness = periods * PERIOD

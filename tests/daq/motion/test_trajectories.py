@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -93,7 +94,7 @@ SINES = SumOfSines(3.0, np.array([0.1]), np.array([[0.3, 0.2]]), np.array([[2.0,
 MOTIONS = [POINTS, SINES, samples(1), RestToRest(SINES, 1, 0.7), RestToRest(series(1, 3, 4, 2.0), 3, 1.0)]
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
+@each("motion", MOTIONS)
 def test_every_motion_has_its_own_derivatives(motion):
     step = 1e-5
     # clear of the joints between polynomials, where the third derivative jumps
@@ -128,7 +129,7 @@ def limits(position: float, velocity: float, acceleration: float) -> list[JointL
     return [JointLimits(name="j1", position=(-position, position), velocity=velocity, acceleration=acceleration)]
 
 
-@pytest.mark.parametrize("way", [0.0, 0.01, 3.0])
+@each("way", [0.0, 0.01, 3.0])
 def test_a_slow_move_uses_a_share_of_the_limits(way):
     move = slow_move(np.array([0.0]), np.array([way]), limits(4, 2.0, 5.0), 0.1)
     extremes = motion_extremes(move)

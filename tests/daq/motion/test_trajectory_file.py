@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import yaml
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_arm import ROBOT_FILE
@@ -55,7 +56,7 @@ def parse(content):
     return parse_trajectory(yaml.safe_dump(content), ROBOT, where="traj.yaml", folder=None)
 
 
-@pytest.mark.parametrize("content", [FOURIER, QUINTIC, SINES, POINTS, SAMPLES])
+@each("content", [FOURIER, QUINTIC, SINES, POINTS, SAMPLES])
 def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
     read = parse(content)
     ends = np.array([0.0, read.motion.duration])
@@ -69,7 +70,7 @@ def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
         assert np.allclose(acceleration, 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "expected"),
     [
         ({**FOURIER, "robot": "ur5e"}, "made for 'ur5e'"),
@@ -188,7 +189,7 @@ def test_a_series_of_too_many_harmonics_is_refused_before_it_is_evaluated() -> N
         parse_trajectory(text, ROBOT, where="t.yaml", folder=None)
 
 
-@pytest.mark.parametrize(
+@each(
     ("content", "said"),
     [
         ({**POINTS, "durations": [1e-12] * len(POINTS["durations"])}, "is not within 0.001 to 86400 s"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import RobotFile, builtin_robots, load_robot, parse_robot
 from daq.robot.schema import TruthLink
@@ -53,7 +54,7 @@ def test_the_list_of_built_in_robots_is_complete() -> None:
     assert set(JOINTS) <= set(builtin_robots())
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@each("name", builtin_robots())
 def test_every_built_in_robot_loads_under_its_own_name_without_a_folder(name: str) -> None:
     robot_file = load_robot(name)
     assert robot_file.robot.name == name
@@ -98,7 +99,7 @@ def test_truth_is_complete_for_every_column_of_the_model(builtin: RobotFile) -> 
         assert (joint.offset != 0) == robot.friction.offset, name
 
 
-@pytest.mark.parametrize("name", sorted(set(JOINTS) - {"up6"}))  # UP6's paper simulates without noise
+@each("name", sorted(set(JOINTS) - {"up6"}))  # UP6's paper simulates without noise
 def test_noise_of_the_simulated_sensors_is_of_a_real_size(name: str) -> None:
     robot = load_robot(name).robot
     noise = robot.truth.noise
@@ -112,7 +113,7 @@ def test_noise_of_the_simulated_sensors_is_of_a_real_size(name: str) -> None:
             assert 0.0025 <= noise.ripple_amplitude[joint.name] / joint.torque <= 0.005, joint.name
 
 
-@pytest.mark.parametrize("name", sorted(MOVING_MASS))
+@each("name", sorted(MOVING_MASS))
 def test_moving_masses_are_the_maker_s_and_leave_some_for_the_base(name: str) -> None:
     moving, whole = MOVING_MASS[name]
     links = load_robot(name).robot.truth.links.values()
@@ -120,7 +121,7 @@ def test_moving_masses_are_the_maker_s_and_leave_some_for_the_base(name: str) ->
     assert moving < whole
 
 
-@pytest.mark.parametrize("name", ["ur3e", "ur5e", "ur10", "ur10e", "ur16e", "ur20", "aubo_i5"])
+@each("name", ["ur3e", "ur5e", "ur10", "ur10e", "ur16e", "ur20", "aubo_i5"])
 def test_assumed_acceleration_limits_stay_below_the_torque_limits(name: str) -> None:
     """What the files' sources claim: inertial, gravity and Coulomb torque together, in random poses."""
     import pinocchio as pin
@@ -143,7 +144,7 @@ def test_assumed_acceleration_limits_stay_below_the_torque_limits(name: str) -> 
         assert np.all(np.abs(torque) + coulomb < limit)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "dh_a", "dh_alpha", "dh_com"),
     [
         (

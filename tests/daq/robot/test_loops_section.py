@@ -8,6 +8,7 @@ import functools
 import numpy as np
 import pytest
 import yaml
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -136,7 +137,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize(("text", "where", "words"), REFUSED.values(), ids=REFUSED.keys())
+@each(("text", "where", "words"), REFUSED.values())
 def test_refused_in_its_own_words(text: str, where: str, words: str) -> None:
     with pytest.raises(RobotFileError) as caught:
         parse_robot(text, where="arm.yaml", folder=None)

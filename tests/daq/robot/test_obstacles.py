@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 
 from daq.robot.loader import parse_robot
 from daq.robot.obstacles import obstacles_of
@@ -23,7 +24,7 @@ def obstacles(model="", workspace="{}"):
     return obstacles_of(parse_robot(ARM.format(model=model, workspace=workspace), where="arm.yaml", folder=None).robot)
 
 
-@pytest.mark.parametrize(
+@each(
     ("model", "name"),
     [
         ("", "the table"),
@@ -41,7 +42,7 @@ def test_the_arm_is_above_its_mounting_surface(model, name):
     assert surface.shape == HalfSpace(normal=(0.0, 0.0, 1.0), offset=0.0)
 
 
-@pytest.mark.parametrize("model", ["mounting: free", "gravity: [9.81, 0, 0]", "gravity: [0, 0, 0]"])
+@each("model", ["mounting: free", "gravity: [9.81, 0, 0]", "gravity: [0, 0, 0]"])
 def test_where_the_surface_is_not_known_there_is_none(model):
     assert obstacles(model) == ()
     (floor,) = obstacles(model, "{floor: -0.7, clearance: 0.1}")
@@ -49,7 +50,7 @@ def test_where_the_surface_is_not_known_there_is_none(model):
     assert floor.shape == HalfSpace(normal=(0.0, 0.0, 1.0), offset=-0.7)
 
 
-@pytest.mark.parametrize(
+@each(
     ("workspace", "names"),
     [
         ("{height: [-0.5, 2]}", []),
@@ -69,7 +70,7 @@ def test_each_obstacle_may_have_its_own_clearance():
     assert [obstacle.clearance for obstacle in found] == [0.04, 0.0, 0.04]
 
 
-@pytest.mark.parametrize(
+@each(
     ("mounting", "gravity"),
     [("table", "[0, 0, 9.81]"), ("ceiling", "[0, 0, -9.81]"), ("wall", "[0, 0, -9.81]"), ("table", "[0, 9.81, 0]")],
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from each import each
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from two_joints import TWO_JOINTS
@@ -51,7 +52,7 @@ def test_a_robot_file_becomes_a_robot() -> None:
     assert robot.friction.base == "coulomb-viscous"
 
 
-@pytest.mark.parametrize(
+@each(
     ("friction", "model"),
     [
         ("{offset: false}", "auto"),
@@ -142,7 +143,7 @@ def parsed_angle(value: Any) -> float:
     return MdhRow.model_validate({"joint": "j", "alpha": value, "d": 0, "r": 0}).alpha
 
 
-@pytest.mark.parametrize("key", ["gamma", "alpha", "theta0"])
+@each("key", ["gamma", "alpha", "theta0"])
 def test_every_angle_of_a_row_may_be_a_multiple_of_pi(key: str) -> None:
     row = MdhRow.model_validate({"joint": "j", "alpha": 0, "d": 0, "r": 0} | {key: "-3*pi/4"})
     assert getattr(row, key) == pytest.approx(-0.75 * math.pi)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from each import each
 from two_joints import TWO_JOINTS
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
@@ -222,7 +223,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.parametrize(("text", "where", "words"), REFUSED.values(), ids=REFUSED.keys())
+@each(("text", "where", "words"), REFUSED.values())
 def test_a_bad_file_is_refused_in_its_own_words(text: str, where: str, words: tuple[str, ...]) -> None:
     error = refusal(text)
     assert error.where == f"arm.yaml{where}" or (
@@ -260,7 +261,7 @@ def test_nested_aliases_do_not_fill_the_memory() -> None:
     assert "aliases and merge keys" in refusal(f"name:\n  a0: &a0 {{x: 1}}\n{merges}").message
 
 
-@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "9" * 5000, "1:" * 5000 + "1", "9" * 5000 + ".5"])
+@each("number", ["9" * 5000, "0x" + "9" * 5000, "1:" * 5000 + "1", "9" * 5000 + ".5"])
 def test_a_number_of_thousands_of_characters_is_named_by_its_line(number: str) -> None:
     error = refusal(f"name: arm\nmodel: {number}\n")
     assert error.where == "arm.yaml, line 2, column 8"
@@ -319,8 +320,8 @@ def test_an_arm_of_too_many_joints_is_refused() -> None:
     assert "at most 50" in refusal(TWO_JOINTS.replace(joint, joints + joint)).message
 
 
-@pytest.mark.parametrize("hidden", ["\\e[2J", "\\0", "\\x9b", "\\u202e", "\\n", "\\t"])
-@pytest.mark.parametrize("place", ["name: arm", "{name: j1", "connection"])
+@each("hidden", ["\\e[2J", "\\0", "\\x9b", "\\u202e", "\\n", "\\t"])
+@each("place", ["name: arm", "{name: j1", "connection"])
 def test_a_name_that_commands_a_terminal_is_refused(hidden: str, place: str) -> None:
     if place == "connection":
         text = f'{TWO_JOINTS}connections:\n  "r{hidden}": {{driver: rtde}}\n'
@@ -330,7 +331,7 @@ def test_a_name_that_commands_a_terminal_is_refused(hidden: str, place: str) -> 
     assert "character" in refusal(text).message
 
 
-@pytest.mark.parametrize("place", ['link name="a"', 'joint name="j"', 'child link="b"'])
+@each("place", ['link name="a"', 'joint name="j"', 'child link="b"'])
 def test_a_urdf_with_a_name_that_ends_a_line_is_refused(place: str) -> None:
     xml = (
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,7 +71,7 @@ def test_every_joint_without_limits_is_named(urdf: Path) -> None:
     assert "no position and no velocity limit" in caught.value.problems[0].message
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "new", "message"),
     [
         ('upper="2"', 'upper="inf"', "not finite"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -143,7 +144,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@each("case", REFUSED)
 def test_wrong_values_are_refused_in_one_line(case):
     section, where, words = REFUSED[case]
     with pytest.raises(RobotFileError) as caught:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_clock import simulated_time
@@ -69,7 +70,7 @@ def test_a_motion_within_its_limits_passes_and_is_noted() -> None:
     assert len(bench.sent) == len(bench.noted) == 60
 
 
-@pytest.mark.parametrize(
+@each(
     ("steps", "said"),
     [
         ([0.0, 0.0, 0.1], "commanded velocity of shoulder: 50 rad/s passes 2.02 rad/s"),
@@ -102,7 +103,7 @@ def test_a_position_beyond_the_joints_range_is_refused() -> None:
             bench.send(gate_position)
 
 
-@pytest.mark.parametrize(("waited", "refused"), [(0.045, False), (0.06, True), (2.0, True)])
+@each(("waited", "refused"), [(0.045, False), (0.06, True), (2.0, True)])
 def test_a_moving_arm_is_not_left_without_commands(waited: float, refused: bool) -> None:
     bench = Bench()
     positions = at(5.0, 50)

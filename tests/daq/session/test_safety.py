@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 from kinematic_arm import NAMES, ROBOT_FILE
@@ -51,7 +52,7 @@ def test_a_breach_is_found_exactly_where_it_is(quantity, data):
     assert breach.time == pytest.approx(10.0 + 0.002 * row)
 
 
-@pytest.mark.parametrize(("quantity", "trips"), [("position", 1), ("velocity", 1), ("torque", 1), ("temperature", 0)])
+@each(("quantity", "trips"), [("position", 1), ("velocity", 1), ("torque", 1), ("temperature", 0)])
 def test_what_is_not_a_number_is_a_breach_but_for_a_thermometer(quantity, trips):
     breach = Supervisor(LIMITS, LAYOUTS).check(block(**{quantity: np.full((5, 2), np.nan)}), 0.0)
     assert (breach is not None) == bool(trips)
@@ -117,7 +118,7 @@ def heat(*celsius: float) -> Batch:
     return Batch("thermometer", np.zeros(1), np.zeros(1), {"temperature": np.array([celsius])})
 
 
-@pytest.mark.parametrize(
+@each(
     ("columns", "celsius", "hot"),
     [
         (("elbow",), (71.0,), "elbow"),

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import can
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_clock import START, SimulatedClock, simulated_time
@@ -325,7 +326,7 @@ def test_whatever_a_serial_line_says_the_next_good_frame_is_read(noise: list[byt
         assert receiver.failure is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("interface", "name", "options", "words"),
     [
         ("socketkan", "can0", {}, "no interface 'socketkan'"),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -79,7 +80,7 @@ def test_a_connection_is_read() -> None:
     assert [part.identifier for part in read.command.layouts] == [0x201]
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "path", "words"),
     [
         ({"rate": 0}, "rate", "is 0"),
@@ -149,7 +150,7 @@ def test_what_is_wrong_is_said_in_one_line(change: dict[str, object], path: str,
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         ({"stop": None}, "must also define how it is halted"),
@@ -191,7 +192,7 @@ def test_command_frames_need_signals() -> None:
         parse_settings(keys, JOINTS)
 
 
-@pytest.mark.parametrize(
+@each(
     ("extra", "words"),
     [
         (

@@ -4,6 +4,7 @@ import copy
 from typing import Any
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -48,7 +49,7 @@ def test_a_temperature_object() -> None:
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("path", "value"),
     [
         ("interface", ...),
@@ -126,7 +127,7 @@ def test_guarding_takes_the_place_of_heartbeats() -> None:
         parse_settings({**GOOD, "guarding": {}, "heartbeat": 0.1}, JOINTS)
 
 
-@pytest.mark.parametrize(
+@each(
     ("keys", "allowed"),
     [
         ({"heartbeat": 0.05}, ""),

@@ -8,6 +8,7 @@ from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -42,18 +43,18 @@ def test_auto_leaves_the_delay_open():
     assert read_delay("auto", "--delay") is None
 
 
-@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "", "soon", "1,2", "AUTO"])
+@each("text", ["nan", "inf", "-inf", "", "soon", "1,2", "AUTO"])
 def test_what_is_no_delay_is_refused(text):
     with pytest.raises(UsageError, match="neither 'auto' nor a number of seconds"):
         read_delay(text, "--delay")
 
 
-@pytest.mark.parametrize(("text", "names"), [("a", ("a",)), ("a,b", ("a", "b")), (" a , b c ,", ("a", "b c"))])
+@each(("text", "names"), [("a", ("a",)), ("a,b", ("a", "b")), (" a , b c ,", ("a", "b c"))])
 def test_commas_separate_names(text, names):
     assert read_names(text, "--joints") == names
 
 
-@pytest.mark.parametrize("text", ["", ",", " , "])
+@each("text", ["", ",", " , "])
 def test_an_option_without_a_name_is_refused(text):
     with pytest.raises(UsageError, match=r"--locked '.*' contains no name"):
         read_names(text, "--locked")
@@ -81,7 +82,7 @@ def grasp(options: Grasp) -> Grasp:
     return options
 
 
-@pytest.mark.parametrize(
+@each(
     ("given", "message"),
     [
         ({"force": 60.0}, r"^force 60 is not within 0 to 50 N.*10 is gentle"),
@@ -105,7 +106,7 @@ def advise(options: Grasp) -> Grasp:
     raise UsageError("--joints names nothing", hint=options.hand)
 
 
-@pytest.mark.parametrize(
+@each(
     ("hint", "typed"),
     [
         ("or give --force N", "or give force=N"),

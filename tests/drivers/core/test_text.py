@@ -6,13 +6,14 @@ import math
 import re
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.core.text import DASH, LEAST_PERCENT, MOST_PERCENT, counted, parsed_json, percent_text, percentage_text
 
 
-@pytest.mark.parametrize(
+@each(
     ("ratio", "text"),
     [
         (0.0, "0 %"),

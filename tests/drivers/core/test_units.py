@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
+from each import each
 
 from drivers.core.units import FACTORS, common_unit, conversion, factors, normalised
 
 
-@pytest.mark.parametrize(
+@each(
     ("written", "value", "expected"),
     [
         ("rad", 2.0, 2.0),
@@ -54,7 +55,7 @@ def test_the_order_of_a_quantitys_units_is_kept_for_messages() -> None:
         factors("furlong")
 
 
-@pytest.mark.parametrize(
+@each(
     ("unit", "sliding", "shown"),
     [
         ("N·m", (False, False), "N·m"),

@@ -4,6 +4,7 @@ import re
 
 import pytest
 import yaml
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError, create_model
@@ -28,7 +29,7 @@ def test_the_compiled_parser_reads_and_refuses_as_the_plain_one(text: str) -> No
         assert outcome(text, patch, compiled=True) == outcome(text, patch, compiled=False)
 
 
-@pytest.mark.parametrize("opening", ["[", "- ", "{a: "])
+@each("opening", ["[", "- ", "{a: "])
 def test_deep_nesting_is_an_error_and_no_crash(opening: str) -> None:
     with pytest.raises(RecursionError):
         load_yaml(opening * 100_000)

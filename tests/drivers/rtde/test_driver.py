@@ -6,6 +6,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+from each import each
 from exact_plant import ExactPlant
 from rtde_in_process import HOST, NOWHERE, Motions, Network, RememberedArm, serving
 from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, paced, steady
@@ -115,7 +116,7 @@ def test_blocks_are_what_the_streams_promise(controller: Make, make_driver: Make
     assert joined(blocks["status"], "joint_mode").shape == (20, 6)
 
 
-@pytest.mark.parametrize("gains", [(), (*GAINS[:5], DriveGain(None)), (*GAINS[:5], DriveGain(1.0, 0.1, "torque"))])
+@each("gains", [(), (*GAINS[:5], DriveGain(None)), (*GAINS[:5], DriveGain(1.0, 0.1, "torque"))])
 def test_without_all_gains_there_is_current_but_no_torque(
     controller: Make, make_driver: MakeDriver, gains: tuple[DriveGain, ...]
 ) -> None:

@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Text, Wait, data_package, paced, package, steady
@@ -189,7 +190,7 @@ def test_a_trickle_of_other_messages_does_not_outlast_the_time_limit(
     assert clock.now() == pytest.approx(START + 0.42, abs=1e-9)
 
 
-@pytest.mark.parametrize(("major", "rate"), [(3, 500.0), (5, 300.0), (5, 1000.0)])
+@each(("major", "rate"), [(3, 500.0), (5, 300.0), (5, 1000.0)])
 def test_a_rate_that_the_controller_does_not_have(controller: Make, connect: Connect, major: int, rate: float) -> None:
     with pytest.raises(UsageError, match="'rate' is"):
         connect(controller(lambda number: [], major=major), rate=rate)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 
 from drivers.core.errors import UsageError
 from drivers.rtde.settings import parse_settings
 
 
-@pytest.mark.parametrize(
+@each(
     ("connection", "key"),
     [
         ({}, "host"),

@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+from each import each
 from serial_lines import SerialLine
 from simulated_clock import SimulatedClock
 
@@ -282,7 +283,7 @@ def test_a_port_that_goes_away_while_it_is_opened_is_refused(clock: SimulatedClo
     assert clock.now() == gone
 
 
-@pytest.mark.parametrize(
+@each(
     ("url", "kind", "message"),
     [
         (

@@ -6,6 +6,7 @@ import math
 from contextlib import suppress
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -66,7 +67,7 @@ def test_garbage_does_not_hide_the_line_behind_it() -> None:
     assert fed(LineParser(settings()), b"\xff\x00\x80" * 700 + b"\nT1=20\n") == [("shoulder", 20.0)]
 
 
-@pytest.mark.parametrize(
+@each(
     ("line", "why"),
     [
         (b"hello", NO_MATCH),
@@ -108,15 +109,13 @@ def test_the_rest_of_a_line_that_was_under_way_is_not_read() -> None:
     assert parser.feed(b"5\n") == []
 
 
-@pytest.mark.parametrize(
-    ("unit", "text", "celsius"), [("degC", "37", 37.0), ("degF", "98.6", 37.0), ("K", "310.15", 37.0)]
-)
+@each(("unit", "text", "celsius"), [("degC", "37", 37.0), ("degF", "98.6", 37.0), ("K", "310.15", 37.0)])
 def test_units_are_converted(unit: str, text: str, celsius: float) -> None:
     ((_, value),) = fed(LineParser(settings(unit=unit)), f"T1={text}\n".encode())
     assert value == pytest.approx(celsius, abs=1e-9)
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "said"),
     [
         ({"url": None}, "'url' .* is missing"),

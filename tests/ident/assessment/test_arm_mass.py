@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,7 +42,7 @@ def test_three_axes_through_one_point_do_not_show_how_large_the_last_body_is() -
     assert end_shown(build_model(load_robot("ur5e")))
 
 
-@pytest.mark.parametrize("name", ["ur5e", "ur10", "ur10e", "panda", "aubo_i5"])
+@each("name", ["ur5e", "ur10", "ur10e", "panda", "aubo_i5"])
 def test_the_built_in_arms_weigh_what_their_payload_lets_expect(name: str) -> None:
     robot = load_robot(name).robot
     assert robot.payload is not None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 from random_arms import random_arm
 
 from daq.robot.loader import RobotFile, parse_robot
@@ -176,7 +177,7 @@ def test_gravity_s_direction_is_found_within_its_interval(found, degrees, around
     assert estimate.std * np.sqrt(independent) < np.deg2rad(1.5)
 
 
-@pytest.mark.parametrize("factor", [0.02, 0.1, 30.0])
+@each("factor", [0.02, 0.1, 30.0])
 def test_a_gain_that_was_left_at_1_is_found_from_afar(found, factor):
     few = light(found)
     spoilt = replace(few, torque=few.torque * np.array([1.0, 1.0, factor])[:, None])

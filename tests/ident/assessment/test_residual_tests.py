@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.assessment.residual_tests import LAGS, ResidualTests, filter_memory, residual_checks, residual_tests
 from ident.regression.comparison import TorqueSeries
@@ -95,7 +96,7 @@ DEVIATIONS = {
 }
 
 
-@pytest.mark.parametrize("name", DEVIATIONS)
+@each("name", DEVIATIONS)
 def test_each_deviation_is_recognised(name: str) -> None:
     residual = DEVIATIONS[name](*motion(3000))
     assumption = name.split()[0].rstrip(",")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from ident.assessment.recording_checks import time_axis, time_axis_checks
@@ -27,12 +28,12 @@ def recording(*, scale: float = 1.0, gains: tuple[float, float] = (1.0, 1.0), cl
     return Recording("", {JOINTS_STREAM: Stream(JOINTS_STREAM, stamps, 1e4 + clock * stamps + late, channels)})
 
 
-@pytest.mark.parametrize("clock", [1.0, 1.0 + 1e-4, 1.0 - 1e-4])
+@each("clock", [1.0, 1.0 + 1e-4, 1.0 - 1e-4])
 def test_a_sound_recording_raises_nothing(clock):
     assert time_axis_checks(recording(clock=clock)) == []
 
 
-@pytest.mark.parametrize("scale", [1.25, 0.8, 1.05])
+@each("scale", [1.25, 0.8, 1.05])
 def test_stamps_off_by_a_factor_are_named_with_it(scale):
     found = recording(scale=scale)
     assert time_axis(found).factor == pytest.approx(1.0 / scale, rel=1e-3)
@@ -49,7 +50,7 @@ def test_a_single_joint_s_velocity_in_another_unit_is_no_wrong_time_axis():
     assert "j2 2" in check.text
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("rpm", 30.0 / np.pi), ("deg/s", 180.0 / np.pi), ("rev/s", 0.5 / np.pi)])
+@each(("unit", "factor"), [("rpm", 30.0 / np.pi), ("deg/s", 180.0 / np.pi), ("rev/s", 0.5 / np.pi)])
 def test_velocities_of_another_unit_are_no_wrong_time_axis(unit, factor):
     (check,) = time_axis_checks(recording(gains=(factor, factor)))
     assert (check.name, check.severity) == ("velocity-scale", "note")

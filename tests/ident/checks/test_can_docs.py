@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from each import each
 from kinematic_arm import ROBOT_FILE
 
 from daq.motion.trajectory_file import parse_trajectory
@@ -32,7 +33,7 @@ CONNECTIONS = {
 }
 
 
-@pytest.mark.parametrize("driver", PARSERS)
+@each("driver", PARSERS)
 def test_connections_are_accepted(driver: str) -> None:
     keys = CONNECTIONS[driver]
     assert PARSERS[driver](keys, ("shoulder", "elbow"))
@@ -46,9 +47,7 @@ def test_the_first_motion_is_accepted() -> None:
     assert played.motion.duration == pytest.approx(16.0)
 
 
-@pytest.mark.parametrize(
-    ("label", "tpdos", "rpdos"), [("2 TPDO (", 2, 0), ("2 TPDO, 1 RPDO", 2, 1), ("3 TPDO, 1 RPDO", 3, 1)]
-)
+@each(("label", "tpdos", "rpdos"), [("2 TPDO (", 2, 0), ("2 TPDO, 1 RPDO", 2, 1), ("3 TPDO, 1 RPDO", 3, 1)])
 def test_the_table_of_rates_is_what_the_budget_says(label: str, tpdos: int, rpdos: int) -> None:
     budget = Budget(1e6, 1.0, synchronous_cycle(6, [8] * tpdos, [8] * rpdos))
     (row,) = (line for line in PAGE.splitlines() if line.startswith(f"| {label}"))

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import pytest
 from command_line import run
+from each import each
 from kinematic_arm import KinematicArm
 
 from daq.robot.loader import load_robot, parse_robot
@@ -165,7 +166,7 @@ def test_connecting_tells_who_answers_and_what_contradicts_the_file(three_joint,
     assert all(driver.stopped_at is not None and driver.closed and not driver.commands for driver in Bench.made)
 
 
-@pytest.mark.parametrize(
+@each(
     ("wire", "said"),
     [
         ("lost", "no connection is called 'nowhere'"),

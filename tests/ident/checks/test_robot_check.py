@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from drivers.core.errors import RobotFileError
@@ -24,7 +25,7 @@ def test_built_in_robots_can_be_identified(name):
     assert not any("gravity" in warning for warning in check_robot(load_robot(name)).warnings)
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "new", "expected"),
     [
         ("  - {joint: j2, gain: -8, gain_std: 0.5}\n", "", "gain of j2 is unknown"),

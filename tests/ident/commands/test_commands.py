@@ -11,6 +11,7 @@ import command_line
 import h5py
 import numpy as np
 import pytest
+from each import each
 
 import dynid
 from daq.recording.reader import read_recording
@@ -368,7 +369,7 @@ def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
     assert f"{joint} was locked" in err
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "words"),
     [
         (["identify", "run.h5", "--locked", "wrist_3_joint"], "declared locked but moves over"),

@@ -8,6 +8,7 @@ from pathlib import Path
 import command_line
 import pytest
 from compiled_arm import self_test
+from each import each
 from loop_arms import four_bar_arm
 from true_results import true_result
 
@@ -65,7 +66,7 @@ def test_json(model, tmp_path, monkeypatch, capsys):
     assert "typedef float up6_real;" in (tmp_path / "arm.h").read_text()
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "message"),
     [
         (["--c-float", "--urdf", "OUT/arm.urdf"], "--c-float needs --c"),

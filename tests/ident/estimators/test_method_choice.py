@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
+from each import each
 
 from drivers.core.errors import UsageError
 from ident.estimators import methods
@@ -37,9 +38,7 @@ def test_values_are_typed():
     assert IdentifyChoices("energy:window=0.5").estimator.equations == "energy"
 
 
-@pytest.mark.parametrize(
-    "text", ["", "WLS", "wls:", "wls:=", "energy:window=", "energy:window=1:", "energy=1", "é:ö=ü"]
-)
+@each("text", ["", "WLS", "wls:", "wls:=", "energy:window=", "energy:window=1:", "energy=1", "é:ö=ü"])
 def test_what_is_no_method_is_refused_in_one_line(text):
     with pytest.raises(UsageError) as refused:
         IdentifyChoices(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from drivers.core.errors import UsageError
 from ident.estimators.method_choice import chosen_method
@@ -130,7 +131,7 @@ def test_frogs_keep_to_the_box_that_was_asked_for(found, box, near) -> None:
     assert bool(np.all(np.abs(masses[1] - masses[0]) <= 1.05 * limit)) == near
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "sfla:memeplexes=0",

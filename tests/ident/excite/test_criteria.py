@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.excite.criteria import (
     SIGN_SMOOTHING,
@@ -121,8 +122,8 @@ def unit(matrix: np.ndarray) -> np.ndarray:
     return matrix / np.linalg.norm(matrix, axis=0)
 
 
-@pytest.mark.parametrize("sharpness", [1.0, 4.0, 64.0, np.inf])
-@pytest.mark.parametrize("name", MEASURES)
+@each("sharpness", [1.0, 4.0, 64.0, np.inf])
+@each("name", MEASURES)
 def test_derivative_equals_finite_differences(name, sharpness):
     for seed in range(4):
         gram = random_regressor(seed).T @ random_regressor(seed)
@@ -136,7 +137,7 @@ def test_derivative_equals_finite_differences(name, sharpness):
         assert np.allclose(gradient, gradient.T), seed
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_exact_values_are_what_they_say(seed):
     phi = random_regressor(seed)
     gram = phi.T @ phi
@@ -151,7 +152,7 @@ def test_exact_values_are_what_they_say(seed):
     assert exact["moments_apart"] == pytest.approx(np.log(apart))
 
 
-@pytest.mark.parametrize("name", ["plain_condition", "condition", "e_optimal", "moments_apart"])
+@each("name", ["plain_condition", "condition", "e_optimal", "moments_apart"])
 def test_smooth_values_bound_the_exact_one_and_tend_to_it(name):
     gram = random_regressor(9).T @ random_regressor(9)
     values = [MEASURES[name](gram, sharpness)[0] for sharpness in (1.0, 4.0, 16.0, 256.0, np.inf)]
@@ -165,7 +166,7 @@ def test_units_of_the_parameters_do_not_matter():
     assert condition(phi.T @ phi, np.inf)[0] == pytest.approx(condition(other.T @ other, np.inf)[0])
 
 
-@pytest.mark.parametrize("name", MEASURES)
+@each("name", MEASURES)
 def test_a_column_that_is_not_excited_costs_much_but_stays_finite(name):
     phi = random_regressor(2)
     phi[:, 4] = phi[:, 5]

@@ -7,6 +7,7 @@ import functools
 import numpy as np
 import pytest
 from arm_kinds import ARM_KINDS
+from each import each
 
 from daq.motion.limits import check_limits, check_rest
 from daq.robot.loader import load_robot
@@ -176,7 +177,7 @@ def test_torque_limits_are_kept_where_a_prior_is_known():
     )  # otherwise the limit would not have mattered
 
 
-@pytest.mark.parametrize(
+@each(
     ("choices", "message"),
     [
         ({"period": 0.0}, "period"),

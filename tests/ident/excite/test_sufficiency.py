@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
+from each import each
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.writer import write_recording
@@ -105,7 +106,7 @@ def test_nothing_significant_is_said(three_joint):
     assert "None of 25 base parameters is significant" in times_needed(found, 5.0).sentence
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, 100.1, float("nan"), float("inf")])
+@each("value", [0.0, -1.0, 100.1, float("nan"), float("inf")])
 def test_a_wanted_rsd_that_is_none_is_refused(value):
     with pytest.raises(UsageError, match="--wanted-rsd"):
         InfoOptions("run.h5", wanted_rsd=value)

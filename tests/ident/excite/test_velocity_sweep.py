@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import MotionRefusedError, UsageError
@@ -73,7 +74,7 @@ def test_a_stroke_that_is_not_free_is_halved_and_a_joint_that_cannot_move_says_w
         velocity_sweep(robot_file, _Refusing(), SweepChoices(joints=("shoulder_lift_joint",)))
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "message"),
     [
         ({"joints": ("elbow",)}, "no joint of ur5e is called 'elbow'"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from each import each
 from exported_arms import exported_arm
 
 from daq.robot.loader import parse_robot
@@ -74,7 +75,7 @@ def test_without_mujoco_a_check_says_so(arm, tmp_path, monkeypatch):
     assert [reading.reader.split()[0] for reading in export_urdf(arm, tmp_path / "arm.urdf").readings] == ["Pinocchio"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("simulation", "name"),
     [
         (Simulation("unpowered", finite=False), "export-diverges"),
@@ -90,7 +91,7 @@ def test_what_a_simulation_shows_is_a_check(simulation, name):
     assert all(check.severity == "serious" for check in simulation_checks(reading))
 
 
-@pytest.mark.parametrize("error", [2e-6, float("nan"), float("inf")])
+@each("error", [2e-6, float("nan"), float("inf")])
 def test_other_torques_are_refused(error):
     with pytest.raises(ModelError, match="reads a different model"):
         check_same_torque(ReadBack("Pinocchio", error, 10), "arm.urdf")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from each import each
 from exported_arms import exported_arm, random_parameters
 from loop_arms import FOUR_BAR, SPHERICAL, four_bar_arm, spatial_arm, spherical_arm
 
@@ -96,7 +97,7 @@ def test_every_part_of_the_file_is_seen_in_the_torques(field):
     assert mujoco_reading.torque_error(arm, model, 20) > 1e-6
 
 
-@pytest.mark.parametrize("name", ["sr400", "four_bar", "spatial", "spherical", "spherical_centre"])
+@each("name", ["sr400", "four_bar", "spatial", "spherical", "spherical_centre"])
 def test_loops_close_where_the_model_closes_them_and_the_second_point_only_where_it_is_needed(name):
     arm = arm_of(name)
     model = model_of(arm)

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from each import each
 from exported_arms import exported_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -152,7 +153,7 @@ def test_the_comment_says_what_the_file_lacks():
     assert "slide" in comment.partition("Right angles")[2]
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "new", "message"),
     [
         ('name="slide"', 'name="slider"', "'joints' names 'slide'.*did you mean 'slider'"),

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from each import each
 
 import dynid
 from drivers.core import cluster
@@ -68,7 +69,7 @@ def test_each_recording_with_each_method_is_a_job(tmp_path):
     assert [len(job.recordings) for job in read_fleet(written(tmp_path, together))][:2] == [2, 2]
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "said"),
     [
         ("arms: []", "arms"),

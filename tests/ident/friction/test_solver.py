@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.friction.solver import Value, settle, settle_nested, shape_step
 from ident.friction.table import Operands, signal_of
@@ -61,7 +62,7 @@ def signal(kind: str, shape: float) -> np.ndarray:
     return np.asarray(signal_of(kind)(Operands(SPEED, np.sign(SPEED), shape)))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_shapes_are_found_from_a_distant_start(seed):
     generator = np.random.default_rng(seed)
     alpha, velocity = generator.uniform(0.6, 1.6), generator.uniform(0.05, 0.3)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.schema import Friction
 from drivers.core.errors import RobotFileError
@@ -41,7 +42,7 @@ def speeds() -> np.ndarray:
     return speed * np.where(np.arange(60) % 2, 1.0, -1.0)
 
 
-@pytest.mark.parametrize("term", TERMS, ids=TERM)
+@each("term", TERMS)
 def test_slopes_are_derivatives_by_the_velocity(term):
     speed, step = speeds(), 1e-6
     up, down = (term.signal(operands(term, speed + sign * step)) for sign in (1.0, -1.0))
@@ -59,7 +60,7 @@ def test_sensitivities_are_derivatives_by_the_shape(term):
     assert np.allclose((up - down) / (2 * step), derivative.slope(at), atol=1e-5)
 
 
-@pytest.mark.parametrize("term", TERMS, ids=TERM)
+@each("term", TERMS)
 def test_only_dry_friction_acts_at_rest_and_all_friction_changes_sign(term):
     speed = np.array([1e-12, 1.0])
     forth, back = (
@@ -75,7 +76,7 @@ def test_only_dry_friction_acts_at_rest_and_all_friction_changes_sign(term):
         assert (abs(forth[0]) > 0.5) == term.dry
 
 
-@pytest.mark.parametrize("term", [term for term in TERMS if term.needs != "temperature"], ids=lambda term: term.kind)
+@each("term", [term for term in TERMS if term.needs != "temperature"])
 def test_expressions_of_c_code_are_the_same(term):
     graph, at = Graph(), operands(term, speeds())
     at = replace(at, direction=np.sign(at.rate))
@@ -85,7 +86,7 @@ def test_expressions_of_c_code_are_the_same(term):
     assert np.allclose(found, term.signal(at), rtol=1e-12, atol=0)
 
 
-@pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.word)
+@each("option", OPTIONS)
 def test_what_a_user_asks_for_is_what_the_motors_get(option):
     check_friction(f"coulomb-viscous+{option.word}")
     by_text = friction_terms(chosen_friction(Friction(), f"coulomb-viscous+{option.word}"), ("j1", "j2"))

@@ -10,6 +10,7 @@ from pathlib import Path
 import command_line
 import numpy as np
 import pytest
+from each import each
 from servo_result import true_servo_result
 from true_results import true_result
 
@@ -67,7 +68,7 @@ def test_servo_models_have_values_and_those_of_no_recording_need_a_time():
     assert "armature" in {value.kind for value in entry.values}
 
 
-@pytest.mark.parametrize(
+@each(
     ("recordings", "std", "words"),
     [
         ([recording("")], 0.1, "does not state when"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
@@ -44,8 +45,8 @@ def test_a_method_without_equations_of_joints_has_none(recording):
     assert {parameter.gain_std for parameter in result.base_parameters} == {None}
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("correlation", [0.0, 0.3, 0.7, 1.0])
+@each("seed", range(5))
+@each("correlation", [0.0, 0.3, 0.7, 1.0])
 def test_the_larger_extreme_covers_every_correlation(seed, correlation):
     moves = np.random.default_rng(seed).standard_normal((6, 4))
     covariance = (1.0 - correlation) * np.eye(6) + correlation

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot, parse_robot
@@ -57,7 +58,7 @@ def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joi
         revalidate(stored, recording)
 
 
-@pytest.mark.parametrize("tolerance", [-1e-3, 0.2, float("nan")])
+@each("tolerance", [-1e-3, 0.2, float("nan")])
 def test_a_rest_tolerance_that_is_a_motion_is_refused(tolerance):
     with pytest.raises(UsageError, match=r"moves over \S+ rad is not at rest|--rest-tolerance nan"):
         find_experiment(build_model(load_robot("ur5e")), [], ExperimentChoices(rest_tolerance=tolerance))

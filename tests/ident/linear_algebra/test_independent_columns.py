@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -43,7 +43,7 @@ def test_the_tolerance_is_a_length():
     assert independent_columns(100.0 * matrix, [0, 1], 1.1e-3) == [0, 1]
 
 
-@pytest.mark.parametrize("distance", [1e-3, 1e-5, 1e-7])
+@each("distance", [1e-3, 1e-5, 1e-7])
 def test_kept_columns_that_are_nearly_parallel_make_no_others_independent(distance):
     # Läuchli's columns: what one pass leaves of the dependent ones is the rounding error divided by the distance.
     nearly = np.vstack([np.ones(6), distance * np.eye(6)])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from benchmarks.arm import arm
 from benchmarks.identification.accuracy import problem
@@ -37,8 +38,8 @@ def preconditioned(rows: np.ndarray, step: int = 10) -> PreconditionedGram:
     return PreconditionedGram(triangular(rows[::step]), len(rows[::step]))
 
 
-@pytest.mark.parametrize("condition", [1e2, 1e5, 1e7])
-@pytest.mark.parametrize("seed", range(5))
+@each("condition", [1e2, 1e5, 1e7])
+@each("seed", range(5))
 def test_solution_is_as_exact_as_that_of_lstsq(condition, seed):
     rows = matrix(condition, seed)
     truth = np.random.default_rng(seed).standard_normal(WIDTH) / np.linalg.norm(rows, axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from each import each
 from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import load_robot
@@ -15,7 +15,7 @@ from ident.model.kinematics.transmission import direct_transmission
 from ident.model.regressor import regressor
 
 
-@pytest.mark.parametrize("seed", range(8))
+@each("seed", range(8))
 def test_base_columns_carry_the_torque_of_any_parameters(random_tree, seed):
     model = random_tree(seed, dof=2 + seed % 5, aligned=seed % 2 == 0)
     base = base_parameters(model)
@@ -27,7 +27,7 @@ def test_base_columns_carry_the_torque_of_any_parameters(random_tree, seed):
     assert np.allclose(carried, torque, rtol=0, atol=1e-8 * np.max(np.abs(torque)))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@each("seed", range(8))
 def test_count_is_the_numerical_rank_at_other_states(random_tree, seed):
     model = random_tree(seed + 50, dof=2 + seed % 5)
     stacked = np.concatenate(list(regressor(model, *random_states(model, 800, seed=7)).transpose(0, 2, 1)))
@@ -68,9 +68,7 @@ def test_choice_reads_like_the_papers(ur_like):
     assert base.margin > 1e6
 
 
-@pytest.mark.parametrize(
-    ("name", "inertial"), [("aubo_i5", 36), ("rocr6", 36), ("ur5e", 36), ("ur10e", 36), ("ur10", 36), ("panda", 43)]
-)
+@each(("name", "inertial"), [("aubo_i5", 36), ("rocr6", 36), ("ur5e", 36), ("ur10e", 36), ("ur10", 36), ("panda", 43)])
 def test_inertial_counts_of_the_built_in_arms(name, inertial):
     from dataclasses import replace
 
@@ -98,7 +96,7 @@ def test_first_three_joints_of_rocr6_have_fifteen():
     assert base_parameters(three).count == 15
 
 
-@pytest.mark.parametrize("size", [1e-6, 5e-5, 3e-4])
+@each("size", [1e-6, 5e-5, 3e-4])
 def test_the_rounded_angles_of_a_urdf_do_not_end_in_an_error(ur_like, size):
     exact = build_model(ur_like)
     turns = Rotation.from_rotvec(size * np.random.default_rng(3).standard_normal((len(exact.joints), 3))).as_matrix()

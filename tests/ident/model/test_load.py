@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -90,7 +91,7 @@ def test_regrouped_combinations_are_marked(three_joint):
         assert ("R_L" in name) == (np.count_nonzero(row) > 1) == (" " in expression)
 
 
-@pytest.mark.parametrize(
+@each(
     ("mass", "com", "inertia", "said"),
     [
         (0.0, None, None, "not possible"),

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import parse_robot
 from drivers.core.errors import RobotFileError
@@ -25,7 +26,7 @@ def test_column_order_is_as_documented(ur_like):
     assert names[60:] == [f"{symbol}{i}" for symbol in ("Ia", "Fv", "Fs", "Fo") for i in range(1, 7)]
 
 
-@pytest.mark.parametrize("flags", list(itertools.product([False, True], repeat=4)))
+@each("flags", list(itertools.product([False, True], repeat=4)))
 def test_every_combination_of_joint_columns(ur_like, flags):
     columns = dict(zip(("motor_inertia", "viscous", "coulomb", "offset"), flags, strict=True))
     model = replace(build_model(ur_like), **{name: (flag, not flag) * 3 for name, flag in columns.items()})

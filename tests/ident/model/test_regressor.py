@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 from pinocchio_reference import pinocchio_regressor
 
 from ident.model.dynamics.pinocchio_model import pinocchio_model
@@ -16,8 +16,8 @@ def motion(dof: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.
     return q, dq, ddq
 
 
-@pytest.mark.parametrize("aligned", [False, True])
-@pytest.mark.parametrize("seed", range(12))
+@each("aligned", [False, True])
+@each("seed", range(12))
 def test_kernel_equals_pinocchio_on_random_trees(random_tree, seed, aligned):
     model = random_tree(seed, dof=1 + seed % 8, aligned=aligned)
     states = motion(model.dof, 40, seed)
@@ -26,7 +26,7 @@ def test_kernel_equals_pinocchio_on_random_trees(random_tree, seed, aligned):
     assert np.max(np.abs(ours - theirs)) < 1e-10 * np.max(np.abs(theirs))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_regressor_times_parameters_is_inverse_dynamics(random_tree, seed):
     import pinocchio as pin
 
@@ -44,7 +44,7 @@ def test_regressor_times_parameters_is_inverse_dynamics(random_tree, seed):
         assert np.allclose(torque[:, sample], expected, rtol=0, atol=1e-10 * np.max(np.abs(expected)))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_chosen_columns_are_the_same_columns(random_tree, seed):
     model = random_tree(seed, dof=5)
     q, dq, ddq = motion(5, 900, seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pytest
+from each import each
 
 from ident.model.regressor import RegressorKernel
 from ident.model.regressor_gradient import pull_back_regressor
@@ -19,8 +19,8 @@ def weighted_sum(kernel, state, weights):
     return (weights * packed).sum(axis=0)
 
 
-@pytest.mark.parametrize("smoothing", [0.0, 0.7])
-@pytest.mark.parametrize("seed", range(12))
+@each("smoothing", [0.0, 0.7])
+@each("seed", range(12))
 def test_pull_back_equals_finite_differences(random_tree, seed, smoothing):
     model = dataclasses.replace(random_tree(seed, dof=1 + seed % 7), smoothing=smoothing)
     generator = np.random.default_rng(seed)

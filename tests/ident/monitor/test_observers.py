@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from monitored_arm import PERIOD, exact_samples, known_model
@@ -20,8 +21,8 @@ from ident.monitor.observers import observer
 KINDS: tuple[Kind, ...] = ("momentum", "direct", "kalman")
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("bandwidth", [20.0, 50.0])
+@each("kind", KINDS)
+@each("bandwidth", [20.0, 50.0])
 def test_a_constant_torque_is_reached_as_the_differential_equation_says(kind: Kind, bandwidth: float) -> None:
     steps = np.array([0.0, 5.0, 5.0, -3.0, 1.0]).repeat(100)[:, None]
     noises = (np.array([0.0]), np.array([1.0]))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,7 +42,7 @@ def stacked(joints, weights=(1.0, 1.0, 1.0)):
     )
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_ols_is_lstsq_with_the_classical_covariance(dense_reduction, seed):
     _, joints = systems(seed)
     W, torque = stacked(joints)
@@ -70,7 +71,7 @@ def test_ols_covariance_is_the_spread_over_white_noise(dense_reduction, seed):
     assert np.all(np.abs(ratio - 1.0) < 0.2)  # 300 draws know a standard deviation to 4 %
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_wls_is_the_fixed_point_of_its_weights(dense_reduction, seed):
     _, joints = systems(seed)
     solution = weighted_least_squares(dense_reduction(joints), range(5))
@@ -150,10 +151,8 @@ def test_dependent_columns_are_refused(dense_reduction, method):
         method(dense_reduction(joints), range(6))
 
 
-@pytest.mark.parametrize("method", [ordinary_least_squares, weighted_least_squares])
-@pytest.mark.parametrize(
-    ("rows", "message"), [(0, "no sample counts"), (1, "3 equations cannot determine 6 parameters")]
-)
+@each("method", [ordinary_least_squares, weighted_least_squares])
+@each(("rows", "message"), [(0, "no sample counts"), (1, "3 equations cannot determine 6 parameters")])
 def test_fewer_equations_than_parameters_are_refused(dense_reduction, method, rows, message):
     _, joints = systems(3, count=6, rows=rows)
     with pytest.raises(IdentificationError, match=message):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import DataError, UsageError
@@ -44,7 +45,7 @@ def positions(model, locked, pose, samples=2000, noise=0.0, seed=0):
     return moving + noise * generator.standard_normal(moving.shape)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3, 1e-2])
+@each("noise", [0.0, 1e-5, 1e-3, 1e-2])
 def test_what_stands_still_is_found_whatever_the_encoders_noise(ur, noise):
     found = find_experiment(ur, [("run", positions(ur, (3, 5), (0.3, -1.2), noise=noise))], ExperimentChoices())
     assert found.locked == (3, 5)
@@ -52,7 +53,7 @@ def test_what_stands_still_is_found_whatever_the_encoders_noise(ur, noise):
     assert found.poses[0] == pytest.approx((0.3, -1.2), abs=5e-3)
 
 
-@pytest.mark.parametrize("samples", [0, 1, 3])
+@each("samples", [0, 1, 3])
 def test_a_recording_without_motion_locks_nothing(ur, samples):
     """Whoever prepares it says so."""
     assert find_experiment(ur, [("run", np.zeros((samples, 6)))], ExperimentChoices()) == whole_arm(ur)
@@ -78,7 +79,7 @@ def test_poses_are_kept_apart_and_not_repeated(ur):
     assert experiment_base(ur, [found]).count > experiment_base(ur, [alone]).count
 
 
-@pytest.mark.parametrize(("angle", "taken"), [(1e-3, 0.0), (np.pi / 2 - 1e-3, np.pi / 2), (0.01, 0.01)])
+@each(("angle", "taken"), [(1e-3, 0.0), (np.pi / 2 - 1e-3, np.pi / 2), (0.01, 0.01)])
 def test_nearly_a_right_angle_is_one(ur, angle, taken):
     assert RIGHT_ANGLE > 1e-3
     found = find_experiment(ur, [("run", positions(ur, (3,), (angle,)))], ExperimentChoices())
@@ -140,8 +141,8 @@ def test_the_base_parameters_give_the_chosen_torques_and_no_fewer_do(robot, expe
     assert base.margin > 1e3
 
 
-@pytest.mark.parametrize("robot", ["ur5e", "sr400"])
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@each("robot", ["ur5e", "sr400"])
+@each("experiment", EXPERIMENTS)
 def test_they_are_combinations_of_the_whole_arm_s(robot, experiment):
     model = build_model(load_robot(robot))
     whole, base = base_parameters(model), experiment_base(model, [experiment])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 from pinocchio_reference import pinocchio_regressor
 from scipy.signal import sosfiltfilt
 
@@ -68,8 +69,8 @@ def noisy_segment(three_joint, smooth_segment):
     return make
 
 
-@pytest.mark.parametrize("name", FILTERS)
-@pytest.mark.parametrize("samples", [45, 128, 129, 1500])
+@each("name", FILTERS)
+@each("samples", [45, 128, 129, 1500])
 def test_reduction_equals_the_explicit_filtered_system(three_joint, noisy_segment, name, samples):
     model = build_model(three_joint)
     kernel = RegressorKernel(model, base_parameters(model).columns, chunk=128)  # below, at and above one chunk
@@ -186,7 +187,7 @@ def test_several_torques_are_reduced_alike(three_joint, noisy_segment):
         assert np.allclose(together.T @ together, alone.T @ alone, rtol=0, atol=1e-9 * np.max(alone.T @ alone))
 
 
-@pytest.mark.parametrize("length", [63, 64, 65, 640])
+@each("length", [63, 64, 65, 640])
 def test_blocks_hold_every_kept_sample_once(three_joint, noisy_segment, length):
     model = build_model(three_joint)
     kernel = RegressorKernel(model, base_parameters(model).columns, chunk=64)
@@ -196,8 +197,8 @@ def test_blocks_hold_every_kept_sample_once(three_joint, noisy_segment, length):
     assert np.array_equal(np.concatenate(used), segment.used[::5])
 
 
-@pytest.mark.parametrize("samples", [300, 3000])
-@pytest.mark.parametrize("smallness", [1e-2, 1e-3])
+@each("samples", [300, 3000])
+@each("smallness", [1e-2, 1e-3])
 def test_a_badly_conditioned_system_keeps_its_digits(three_joint, smooth_segment, smallness, samples):
     """A slow, small motion hardly tells inertia from gravity: the plain Gram matrix is not used for it."""
     model = build_model(three_joint)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -72,7 +73,7 @@ def test_parameters_that_are_zero_go_and_large_ones_stay(dense_reduction):
     assert kept == [{0, 2, 5}] * 30
 
 
-@pytest.mark.parametrize("threshold", [5.0, 15.0, 30.0, 45.0])
+@each("threshold", [5.0, 15.0, 30.0, 45.0])
 def test_the_threshold_acts(dense_reduction, threshold):
     """Parameters known to 2, 10, 20, 40 and 70 %: what is kept follows the threshold; the F-test's choice does not."""
     levels = np.array([2.0, 10.0, 20.0, 40.0, 70.0])

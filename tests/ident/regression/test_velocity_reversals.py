@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from drivers.core.errors import UsageError
 from ident.assessment.delay.delay import search_delay
@@ -92,7 +93,7 @@ def test_friction_that_sticks_at_reversals_does_no_harm(three_joint, arm, segmen
     assert np.max(np.abs(kept - truth)) > 0.02
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.0, float("nan")])
+@each("share", [-0.1, 1.0, float("nan")])
 def test_what_is_no_share_is_refused(share):
     with pytest.raises(UsageError, match=r"not within 0 to 0\.99|not a finite number"):
         IdentifyChoices(reversals=share)

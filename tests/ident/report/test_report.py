@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from each import each
 from html_page import Page
 from torque_series import series
 
@@ -365,7 +366,7 @@ def test_unwritable_place_is_told(tmp_path: Path) -> None:
     assert not (tmp_path / "result.json").exists()
 
 
-@pytest.mark.parametrize(
+@each(
     "make",
     [
         lambda: TruthTable(("a", "b"), np.zeros(1)),

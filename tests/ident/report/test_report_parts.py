@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -74,7 +75,7 @@ def test_numbers_keep_their_digits(value: float, digits: int) -> None:
     assert float(text) == pytest.approx(value, rel=0.51 * 10.0 ** (1 - digits), abs=0.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("value", "std", "text"),
     [
         (1.23456, 0.00105, "1.2346 ± 0.0021"),

@@ -8,6 +8,7 @@ from hashlib import sha256
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -177,14 +178,14 @@ def test_no_such_file(tmp_path):
         read_result(tmp_path)
 
 
-@pytest.mark.parametrize("text", [b"", b"{", b"\xff\xfe\x00", b"not json", b"[" * 100_000, b"9" * 5000])
+@each("text", [b"", b"{", b"\xff\xfe\x00", b"not json", b"[" * 100_000, b"9" * 5000])
 def test_what_is_not_json_is_refused(tmp_path, text):
     (tmp_path / "r.json").write_bytes(text)
     with pytest.raises(ResultFileError, match=r"is not (JSON|UTF-8)"):
         read_result(tmp_path / "r.json")
 
 
-@pytest.mark.parametrize("value", [[], 3, None, "text", {}, {"kind": "trajectory"}, {"dynid_schema": 1}])
+@each("value", [[], 3, None, "text", {}, {"kind": "trajectory"}, {"dynid_schema": 1}])
 def test_another_kind_of_file_is_refused(tmp_path, value):
     (tmp_path / "r.json").write_text(json.dumps(value))
     with pytest.raises(ResultFileError, match="not a result of dynid identify"):

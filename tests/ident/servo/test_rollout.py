@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
@@ -80,7 +81,7 @@ def every_term() -> tuple[np.ndarray, np.ndarray]:
     return values, free
 
 
-@pytest.mark.parametrize("name", SMOOTH)
+@each("name", SMOOTH)
 def test_derivatives_are_those_of_the_roll_out(name):
     values, free = every_term()
     moved, point, column = lanes(), to_search(values), INDEX[name]

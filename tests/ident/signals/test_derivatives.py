@@ -7,6 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from each import each
 
 from drivers.core.errors import UsageError
 from ident.signals.joint_signals import JointSignals
@@ -131,7 +132,7 @@ def test_cutoffs_that_do_not_fit_are_refused(choices: dict[str, tuple[float, ...
         prepare(recorded(), PreprocessChoices(differentiation="kalman", **choices))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("cutoff", [0.0, -1.0, float("nan")])
+@each("cutoff", [0.0, -1.0, float("nan")])
 def test_impossible_cutoffs_are_refused(cutoff: float) -> None:
     with pytest.raises(UsageError):
         PreprocessChoices(differentiation="kalman", joint_cutoffs=(cutoff,))
@@ -151,7 +152,7 @@ def test_stated_noise_levels_are_those_of_all_joints_and_of_the_next_recording()
     assert again.choices.joint_cutoffs == prepared.choices.joint_cutoffs
 
 
-@pytest.mark.parametrize(
+@each(
     ("choices", "words"),
     [
         ({"differentiation": "kalman", "kalman_noise": (1.0,)}, "is not two numbers"),

@@ -7,6 +7,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 import scipy.signal
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -43,7 +44,7 @@ def scipy_filtered(zero_phase: ZeroPhaseFilter, rows: np.ndarray) -> np.ndarray:
     return scipy.signal.sosfiltfilt(zero_phase.sos.copy(), rows, axis=1)[:, :: zero_phase.factor]
 
 
-@pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)
+@each("zero_phase", FILTERS)
 def test_apply_equals_sosfiltfilt(zero_phase: ZeroPhaseFilter) -> None:
     for samples in (31, 95, 96, 97, 1003, 6000):
         rows = walk(3, samples)
@@ -52,7 +53,7 @@ def test_apply_equals_sosfiltfilt(zero_phase: ZeroPhaseFilter) -> None:
         np.testing.assert_allclose(ours, scipy_filtered(zero_phase, rows), rtol=0, atol=1e-12 * np.abs(rows).max())
 
 
-@pytest.mark.parametrize("factor", [2, 5, 10])
+@each("factor", [2, 5, 10])
 def test_chebyshev_decimation_equals_scipy_decimate(factor: int) -> None:
     rows = walk(4, 3001)
     expected = scipy.signal.decimate(rows, factor, axis=1)
@@ -144,7 +145,7 @@ def test_stream_is_not_used_after_its_end() -> None:
         streamed.finish()
 
 
-@pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)
+@each("zero_phase", FILTERS)
 def test_signals_shorter_than_the_extension(zero_phase: ZeroPhaseFilter) -> None:
     for samples in (1, 2, 3, 5, 12):
         rows = walk(2, samples)
@@ -153,7 +154,7 @@ def test_signals_shorter_than_the_extension(zero_phase: ZeroPhaseFilter) -> None
         np.testing.assert_allclose(zero_phase.apply(rows), expected, atol=1e-12 * np.abs(rows).max())
 
 
-@pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)
+@each("zero_phase", FILTERS)
 def test_constant_and_ramp(zero_phase: ZeroPhaseFilter) -> None:
     rows = np.stack([np.full(900, 3.0), np.linspace(-1, 5, 900)])
     filtered = zero_phase.apply(rows)
@@ -173,7 +174,7 @@ def test_gain_at_rest() -> None:
     assert unit_gain(no_filter()).gain_at_rest() == 1
 
 
-@pytest.mark.parametrize("frequency", [1.0, 4.0, 8.0, 16.0])
+@each("frequency", [1.0, 4.0, 8.0, 16.0])
 def test_zero_phase_and_gain_of_a_sinusoid(frequency: float) -> None:
     rate, cutoff = 1000.0, 8.0
     instants = np.arange(20000) / rate
@@ -195,7 +196,7 @@ def test_impulse_response_is_symmetric() -> None:
     assert np.argmax(response) == 2000
 
 
-@pytest.mark.parametrize("zero_phase", FILTERS, ids=lambda f: f.description)
+@each("zero_phase", FILTERS)
 def test_settling(zero_phase: ZeroPhaseFilter) -> None:
     settled = zero_phase.settling_samples()
     impulse = np.zeros(4 * settled + 50)
@@ -220,7 +221,7 @@ def test_descriptions() -> None:
     assert "every 12th sample" in no_filter(12).description
 
 
-@pytest.mark.parametrize(
+@each(
     "make",
     [
         lambda: butterworth(0, 100),

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, parse_robot
@@ -113,8 +114,8 @@ def test_recordings_without_what_is_needed_are_refused():
     assert "--robot" in caught.value.hint
 
 
-@pytest.mark.parametrize("quantity", ["position", "current", "velocity"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@each("quantity", ["position", "current", "velocity"])
+@each("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_no_numbers_are_named_by_sample_and_joint(quantity, value):
     values = {"position": POSITION.copy(), "current": CURRENT.copy(), "velocity": POSITION.copy()}
     values[quantity][2, 1] = value

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 
 from drivers.core.errors import DataError, InputError, UsageError
 from ident.signals.cutoffs import choose_cutoffs
@@ -94,8 +95,8 @@ def test_moving_mask() -> None:
     assert default_rest_velocity(np.full((1, 5), -2.0)) == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("part", [0.0, 0.01, 0.1, 0.5, 1.0])
-@pytest.mark.parametrize("rate", [25.0, 125.0, 500.0, 1000.0, 5000.0])
+@each("part", [0.0, 0.01, 0.1, 0.5, 1.0])
+@each("rate", [25.0, 125.0, 500.0, 1000.0, 5000.0])
 def test_default_cutoffs_fit_motion_and_rate(part: float, rate: float) -> None:
     band = part * min(20.0, rate / 5)  # motion_band looks no further
     cutoffs = choose_cutoffs(band, rate, PreprocessChoices())
@@ -344,7 +345,7 @@ def check_consistent(prepared: Prepared) -> None:
     assert prepared.steps[-1].settings["factor"] == prepared.parallel_filter.factor
 
 
-@pytest.mark.parametrize(
+@each(
     ("field", "value"),
     [
         ("position_cutoff", 0.0),
@@ -366,7 +367,7 @@ def test_choices_that_no_recording_could_fulfil(field: str, value: object) -> No
         replace(PreprocessChoices(), **{field: value})  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
+@each(
     "choices",
     [
         PreprocessChoices(position_cutoff=100.0),
@@ -379,7 +380,6 @@ def test_choices_that_no_recording_could_fulfil(field: str, value: object) -> No
         PreprocessChoices(delay=30.0),
         PreprocessChoices(delay=-19.99),
     ],
-    ids=str,
 )
 def test_choices_that_this_recording_cannot_fulfil(
     choices: PreprocessChoices, recording: tuple[np.ndarray, ...]

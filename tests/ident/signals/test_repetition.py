@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -33,9 +34,9 @@ def aperiodic(samples: int, seed: int = 0, joints: int = 3):
     return gaussian_filter1d(white, 8.0, axis=1, mode="constant")
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.1])
-@pytest.mark.parametrize("period", [97, 200, 333])
-@pytest.mark.parametrize("repetitions", [1.5, 2.0, 5.3])
+@each("noise", [0.0, 0.1])
+@each("period", [97, 200, 333])
+@each("repetitions", [1.5, 2.0, 5.3])
 def test_the_period_is_found_to_the_sample(period, repetitions, noise):
     samples = round(period * repetitions)
     assert [own_period(periodic(period, samples, seed, noise=noise)) for seed in range(3)] == [period] * 3
@@ -58,7 +59,7 @@ def test_a_repetition_of_less_than_a_tenth_of_the_recording_is_not_believed():
     assert own_period(periodic(300, 310)) is None
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0, -3.0])
+@each("value", [0.0, 1.0, -3.0])
 def test_constant_velocity_has_no_period(value):
     """A constant equals itself at every lag, which is no sign of a repetition."""
     assert own_period(np.full((3, 400), value)) is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,9 +55,7 @@ def test_one_lost_sample_is_irregular_and_no_gap() -> None:
     assert found.longest == pytest.approx(0.004)
 
 
-@pytest.mark.parametrize(
-    ("period", "hole", "gaps"), [(0.001, 0.049, 0), (0.001, 0.051, 1), (0.01, 0.09, 0), (0.01, 0.11, 1)]
-)
+@each(("period", "hole", "gaps"), [(0.001, 0.049, 0), (0.001, 0.051, 1), (0.01, 0.09, 0), (0.01, 0.11, 1)])
 def test_gaps_are_longer_than_ten_periods_and_fifty_ms(period: float, hole: float, gaps: int) -> None:
     time = np.arange(400) * period
     time[200:] += hole - period

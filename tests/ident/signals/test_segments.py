@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 
 from ident.signals.segments import central_difference
 
 
-@pytest.mark.parametrize("rate", [50.0, 125.0, 1000.0, 5000.0])
+@each("rate", [50.0, 125.0, 1000.0, 5000.0])
 def test_central_difference_of_a_sinusoid(rate: float) -> None:
     frequency = 2.0
     time = np.arange(int(1.3 * rate)) / rate

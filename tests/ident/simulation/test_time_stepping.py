@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from each import each
 from loop_arms import FOUR_BAR, four_bar_arm
 from true_results import true_result
 
@@ -188,7 +189,7 @@ def test_an_arm_that_leaves_its_loop_is_refused_with_the_time():
         dynid.Model(true_result(rocker), "full").simulate([0.0, -1.2, 0.0], [0.0, 40.0, 0.0], None, 0.5)
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "message"),
     [
         ({"q0": np.zeros((3, 6))}, "3 rows|shape"),

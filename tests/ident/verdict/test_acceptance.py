@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,7 +40,7 @@ def failed(**limits) -> list[tuple[str, str]]:
     return [(criterion.name, criterion.subject) for criterion in acceptance.criteria if not criterion.passed]
 
 
-@pytest.mark.parametrize(
+@each(
     ("limits", "expected"),
     [
         ({"relative_error": 0.05}, []),
@@ -75,7 +76,7 @@ def test_a_value_passes_up_to_its_limit(limit, value):
     assert judge_acceptance(AcceptanceLimits(relative_error=limit), figures).passed == (value <= limit)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [
         ("relative_error: 8", "8 is a ratio, not a percentage"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -75,7 +76,7 @@ def test_the_known_worst_cases() -> None:
     assert worst_case_bits(Frame(1, bytes(8), extended=True)) == 160
 
 
-@pytest.mark.parametrize("frame", [Frame(0x800), Frame(-1), Frame(1, bytes(9)), Frame(1 << 29, extended=True)])
+@each("frame", [Frame(0x800), Frame(-1), Frame(1, bytes(9)), Frame(1 << 29, extended=True)])
 def test_what_is_no_frame_is_refused(frame: Frame) -> None:
     with pytest.raises(ValueError, match="no classic CAN frame"):
         exact_bits(frame)

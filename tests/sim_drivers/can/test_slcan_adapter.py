@@ -10,6 +10,7 @@ from typing import Any
 import can
 import pytest
 from drive_bench import bus_settings, six_joints
+from each import each
 from exact_plant import ExactPlant
 from hypothesis import given
 from hypothesis import strategies as st
@@ -82,9 +83,7 @@ def test_frames_are_read_as_they_are_written(message: can.Message) -> None:
     assert found.equals(message, timestamp_delta=None, check_direction=False)
 
 
-@pytest.mark.parametrize(
-    "text", [b"", b"t", b"t1812AB", b"t18199", b"t1810AB", b"tGGG0", b"t8000", b"T200000000", b"x1230"]
-)
+@each("text", [b"", b"t", b"t1812AB", b"t18199", b"t1810AB", b"tGGG0", b"t8000", b"T200000000", b"x1230"])
 def test_what_is_no_frame_is_refused(text: bytes) -> None:
     assert parse_frame(text) is None
 

@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 from drive_bench import COUNTS, Bench
+from each import each
 from exact_plant import ExactPlant
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -114,7 +115,7 @@ def test_an_event_driven_pdo_comes_with_every_change() -> None:
     assert words == [b"\x50\x02", b"\x31\x02"]
 
 
-@pytest.mark.parametrize(
+@each(
     ("index", "subindex", "value", "size", "abort"),
     [
         (0x1A00, 1, 0x60640020, 4, Abort.DEVICE_STATE),  # while the PDO exists
@@ -137,7 +138,7 @@ def test_what_a_drive_refuses(index: int, subindex: int, value: int, size: int, 
     assert bench.write(1, index, subindex, value, size) == abort
 
 
-@pytest.mark.parametrize("mapped", [0x10000020, 0x60640010, 0x70000008, 0x10080008])
+@each("mapped", [0x10000020, 0x60640010, 0x70000008, 0x10080008])
 def test_what_cannot_be_mapped(mapped: int) -> None:
     bench = Bench()
     bench.pass_time(0.1)

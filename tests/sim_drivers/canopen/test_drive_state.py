@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,7 +30,7 @@ def machine_in(state: State, option: int = 2) -> StateMachine:
     return machine
 
 
-@pytest.mark.parametrize("state", State)
+@each("state", State)
 def test_every_state_under_every_command(state: State) -> None:
     for word, expected in zip((SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP), TABLE[state], strict=True):
         machine = machine_in(state)
@@ -64,7 +64,7 @@ def test_a_fault_is_reset_by_an_edge_only_and_enables_nothing() -> None:
     assert machine.state is SOD
 
 
-@pytest.mark.parametrize(("option", "end"), [(1, SOD), (2, SOD), (5, QSA), (6, QSA)])
+@each(("option", "end"), [(1, SOD), (2, SOD), (5, QSA), (6, QSA)])
 def test_how_a_quick_stop_ends(option: int, end: State) -> None:
     machine = machine_in(OE, option)
     machine.control(QUICK_STOP)

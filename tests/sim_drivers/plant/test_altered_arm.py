@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import RobotFileError, UsageError
@@ -53,9 +54,7 @@ def test_a_payload_is_a_point_mass_in_the_flange_frame() -> None:
     assert loaded.text == robot_file.text
 
 
-@pytest.mark.parametrize(
-    "text", ["", "2", "2@", "2@0,0", "2@0,0,0,0", "x@0,0,0", "0@0,0,0", "-1@0,0,0", "nan@0,0,0", "1@0,inf,0"]
-)
+@each("text", ["", "2", "2@", "2@0,0", "2@0,0,0,0", "x@0,0,0", "0@0,0,0", "-1@0,0,0", "nan@0,0,0", "1@0,inf,0"])
 def test_what_is_no_payload_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is not a payload"):
         with_payload(load_robot("ur5e"), text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
@@ -155,7 +156,7 @@ def test_lines_are_read() -> None:
     assert parse_contact("release", MODEL, TOOL, 1.0) == Grasp(0.0, (0.0, 0.0, 0.0), 1.0)
 
 
-@pytest.mark.parametrize(
+@each(
     "line",
     ["push", "push nothing 0 0 1 for 1", "push 1 0 0 x for 1", "push 1 0 0 nan for 1", "push 1 0 0 1e9 for 1"]
     + ["push 1 0 0 1 for -1", "wall 0 0 0 0 0 0", "wall 0 0 0 0 0 1 1e9", "pick", "pick -1", "pick 1 at 0 0", "hug 1"],

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_kinds import ARM_KINDS
+from each import each
 
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import RobotFileError
@@ -321,7 +322,7 @@ def test_drives_do_not_exceed_their_limit(pendulum):
     assert plant.position == pytest.approx(3.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("wrong", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1))])
+@each("wrong", [np.zeros(2), np.array([np.nan]), np.zeros((1, 1))])
 def test_vectors_must_fit(pendulum, wrong):
     with pytest.raises(ValueError, match="position"):
         Plant(pendulum(), position=wrong)
@@ -350,7 +351,7 @@ def test_an_arm_without_a_truth_is_refused():
         Plant(parse_robot(text + point, where="point", folder=None))
 
 
-@pytest.mark.parametrize("duration", [-0.1, float("nan"), float("inf")])
+@each("duration", [-0.1, float("nan"), float("inf")])
 def test_time_does_not_run_backwards(pendulum, duration):
     with pytest.raises(ValueError, match="advance"):
         Plant(pendulum()).advance(duration)

@@ -7,6 +7,7 @@ import struct
 
 import numpy as np
 import pytest
+from each import each
 from exact_plant import ExactPlant
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -100,8 +101,8 @@ def test_a_blocking_command_is_done_once_and_ready_after_command_0() -> None:
     assert arm.values["output_int_register_0"] == 1
 
 
-@pytest.mark.parametrize("number", [1, 11])
-@pytest.mark.parametrize("value", [7.0, -7.0, math.nan, math.inf])
+@each("number", [1, 11])
+@each("value", [7.0, -7.0, math.nan, math.inf])
 def test_targets_outside_the_limits_stop_protectively(number: int, value: float) -> None:
     arm = controller()
     command(arm, number, value, 0, 0, 0, 0, 0, 1.0, 1.0, 0.002, 0.1, 300)

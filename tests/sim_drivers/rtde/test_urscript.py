@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
@@ -27,7 +28,7 @@ def run(controller: Controller, body: str, periods: int = 5) -> int:
     return int(controller.values["output_int_register_24"])  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
+@each(
     ("body", "result"),
     [
         ("write_output_integer_register(24, 7)", 7),
@@ -41,7 +42,7 @@ def test_statements_mean_what_the_manual_says(controller: Controller, body: str,
     assert controller.script is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("body", "reason"),
     [
         ("while True:\n  x = 1\nend", "without waiting"),
@@ -66,7 +67,7 @@ def test_what_is_not_simulated_ends_the_program(controller: Controller, body: st
     assert controller.script is None
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "",

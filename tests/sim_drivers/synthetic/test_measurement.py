@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from arm_kinds import ARM_KINDS
+from each import each
 
 from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
@@ -87,7 +88,7 @@ def test_noise_is_as_large_as_the_file_says(ur5e, motion):
     assert np.max(np.abs(np.corrcoef(added.T) - np.eye(6))) < 0.1
 
 
-@pytest.mark.parametrize("rate", [None, 125.0, 1000.0])
+@each("rate", [None, 125.0, 1000.0])
 def test_stamps_are_the_rates(ur5e, motion, rate):
     stream = joints_of(simulate_recording(ur5e, motion, 1.6, seed=1, rate=rate))
     assert len(stream.time) == round(1.6 * (rate or ur5e.robot.truth.noise.rate))

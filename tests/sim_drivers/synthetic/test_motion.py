@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_kinds import ARM_KINDS
+from each import each
 
 from daq.robot.loader import load_robot
 from ident.linear_algebra.triangular import scaled_condition
@@ -18,8 +19,8 @@ from sim_drivers.synthetic.measurement import LIMIT_SHARE, random_fourier_motion
 DENSE = 4000  # points a period, ten times what the motion was scaled on
 
 
-@pytest.mark.parametrize("name", ARM_KINDS)
-@pytest.mark.parametrize("period", [3.0, 20.0])
+@each("name", ARM_KINDS)
+@each("period", [3.0, 20.0])
 def test_limits_hold_on_a_dense_grid(name, period):
     model = build_model(load_robot(name))
     motion = random_fourier_motion(model, period, seed=1, candidates=2)

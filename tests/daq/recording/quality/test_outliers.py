@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -68,7 +69,7 @@ def test_hard_reversals_are_no_outliers(seed, acceleration, rate, rest):
     assert clean.replaced.tolist() == clean.left.tolist() == [0, 0, 0]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@each("seed", range(20))
 def test_noise_has_no_outliers(seed):
     generator = np.random.default_rng(seed)
     bursts = np.where(np.sin(TIME) > 0.9, 5.0, 1.0) * generator.standard_normal(len(TIME))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,7 +21,7 @@ def test_noise_of_a_moving_signal(deviation):
     assert white_noise(noisy) == pytest.approx(deviation, rel=0.1)
 
 
-@pytest.mark.parametrize("step", [1e-5, 0.01, 0.125])
+@each("step", [1e-5, 0.01, 0.125])
 def test_step_of_a_quantised_signal(step):
     quantised = np.round(20 * step * np.sin(TIME) / step) * step
     assert quantisation_step(quantised) == pytest.approx(step, rel=1e-6)
@@ -40,7 +41,7 @@ def test_clipping_is_found_and_a_turning_point_is_none():
     assert clipped.clipped_percent == pytest.approx(expected, abs=0.1)
 
 
-@pytest.mark.parametrize("counts", [1.5, 3.0, 6.0, 12.0])
+@each("counts", [1.5, 3.0, 6.0, 12.0])
 def test_a_coarse_signal_is_neither_clipped_nor_filled_with_zeros(counts):
     noise = 0.1 * np.random.default_rng(1).standard_normal(len(TIME))
     coarse = np.round(counts * np.sin(3.0 * TIME) + noise) * 0.0113

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Message, Signal
 from cantools.database.conversion import BaseConversion
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -164,7 +165,7 @@ def test_a_template_gives_the_other_bits_and_the_length() -> None:
         table.encode(part, [70000.0])
 
 
-@pytest.mark.parametrize(
+@each(
     ("start", "length", "order", "message"),
     [
         (64, 1, "little", "start 64"),
@@ -202,7 +203,7 @@ def test_identifiers_are_written_as_people_do() -> None:
     assert table.identifier_text(0x181 | EXTENDED) == "0x00000181"
 
 
-@pytest.mark.parametrize(
+@each(
     ("quantity", "unit", "value", "expected"),
     [
         ("position", "deg", 180.0, math.pi),
@@ -227,7 +228,7 @@ def test_units(quantity: str, unit: str, value: float, expected: float) -> None:
     assert factor * value + offset == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("quantity", list(FACTORS))
+@each("quantity", list(FACTORS))
 def test_units_of_another_quantity_are_refused(quantity: str) -> None:
     with pytest.raises(ValueError, match=r"unit 'furlong' of .* cannot be converted; allowed: "):
         to_si(quantity, "furlong")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pytest
+from each import each
 
 from drivers.canopen402.monitor.life_signs import Silence
 from drivers.canopen402.protocol.objects import TPDO_BASES
@@ -10,7 +10,7 @@ from drivers.canopen402.protocol.objects import TPDO_BASES
 NOW, LIMIT = 100.0, 0.05
 
 
-@pytest.mark.parametrize(
+@each(
     ("drained", "last_sync", "answers", "said"),
     [
         (0.005, 0.002, (0.002, 0.002), ""),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
 from canopen.sdo.exceptions import SdoAbortedError
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -48,14 +48,12 @@ def test_enabling_goes_through_the_states_in_the_standards_order() -> None:
     assert all(not word & 0x80 for word, _ in ENABLING)  # none resets a fault
 
 
-@pytest.mark.parametrize(
-    ("supported", "mode", "yes"), [(0x81, 8, True), (0x81, 1, True), (0x7F, 8, False), (0, 1, False)]
-)
+@each(("supported", "mode", "yes"), [(0x81, 8, True), (0x81, 1, True), (0x7F, 8, False), (0, 1, False)])
 def test_supported_modes(supported: int, mode: int, yes: bool) -> None:
     assert supports_mode(supported, mode) is yes
 
 
-@pytest.mark.parametrize(
+@each(
     ("code", "words"),
     [
         (0x4210, "device temperature too high"),

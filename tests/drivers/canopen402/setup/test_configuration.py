@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 from canopen_bench import JOINTS, bench
+from each import each
 from scripted_drives import ScriptedBus, ScriptedDrive
 
 from drivers.can.receiver import POLL
@@ -117,7 +118,7 @@ def test_swapped_node_ids_are_named_where_serial_numbers_are_known() -> None:
     assert "expects 77" in refused(nodes={"elbow": {"serial": 77}}).message
 
 
-@pytest.mark.parametrize(
+@each(
     ("entry", "code", "words"),
     [
         ((0x1A00, 0), 0x06010002, "cannot write 0 to 0x1A00 (PDO mapping): the object can only be read"),
@@ -197,8 +198,8 @@ def test_a_fault_is_reset_where_that_was_asked_for_and_nothing_enabled(clears: b
         assert [drive.controlwords for drive in one.drives if drive is not faulty] == [[], []]
 
 
-@pytest.mark.parametrize("mode", ["position", "none"])
-@pytest.mark.parametrize("state", ["enabled", "quick stop"])
+@each("mode", ["position", "none"])
+@each("state", ["enabled", "quick stop"])
 def test_a_drive_that_somebody_else_powered_is_refused_and_nothing_sent_that_changes_it(mode: str, state: str) -> None:
     run_by_another = ScriptedDrive(1, state=state, nmt=5, quick_stop_stays=True)
     with bench(drives(run_by_another), begin="closed", mode=mode) as one:
@@ -220,7 +221,7 @@ def test_a_motion_that_somebody_else_begins_while_recording_is_not_stopped() -> 
         assert one.drives[1].state == "enabled"
 
 
-@pytest.mark.parametrize(
+@each(
     ("identifier", "data", "words"),
     [
         (0x77F, b"\x05", "a heartbeat as node 127 (0x77F)"),
@@ -232,7 +233,7 @@ def test_a_motion_that_somebody_else_begins_while_recording_is_not_stopped() -> 
         (0x701, b"\x85", "requests of node guarding"),
     ],
 )
-@pytest.mark.parametrize("mode", ["position", "none"])
+@each("mode", ["position", "none"])
 def test_another_master_is_heard_before_anything_is_sent(identifier: int, data: bytes, words: str, mode: str) -> None:
     with bench(begin="closed", own_id=126, mode=mode) as one:
         one.clock.call_at(one.clock.now() + LISTEN - 0.01, lambda: one.bus.send(identifier, data))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import RobotFileError
@@ -87,7 +88,7 @@ def test_points_in_a_plane_enclose_nothing():
         half_spaces(np.ones((5, 3)), "here")
 
 
-@pytest.mark.parametrize(
+@each(
     ("shape", "within", "without"),
     [
         ('<box size="0.1 0.1 0.2"/>', (0.049, 0.049, 0.199), (0.08, 0.0, 0.1)),
@@ -161,7 +162,7 @@ def test_what_cannot_be_used_is_refused(tmp_path):
         bounds_of(bare)
 
 
-@pytest.mark.parametrize(
+@each(
     ("prior", "message"),
     [
         ("com_hull: mesh", "write 'urdf', or a list of points"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia, standard_parameters
 from ident.model.parameters import link_parameters
@@ -14,7 +14,7 @@ def point_body(seed: int, count: int = 6) -> tuple[np.ndarray, np.ndarray]:
     return generator.uniform(0.1, 2.0, count), generator.normal(size=(count, 3))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_the_pseudo_inertia_is_the_second_moment_of_the_mass(seed: int) -> None:
     masses, points = point_body(seed)
     homogeneous = np.column_stack([points, np.ones(len(masses))])
@@ -25,7 +25,7 @@ def test_the_pseudo_inertia_is_the_second_moment_of_the_mass(seed: int) -> None:
     np.testing.assert_allclose(link[:6], inertia[np.triu_indices(3)], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_a_body_has_its_link_s_parameters(seed: int) -> None:
     masses, points = point_body(seed)
     homogeneous = np.column_stack([points, np.ones(len(masses))])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
@@ -160,7 +161,7 @@ def test_friction_stays_within_its_bounds(faulty, full, decoupled):
     assert "at a bound: none" not in found.estimation.steps[-1].text
 
 
-@pytest.mark.parametrize("seed", range(20))
+@each("seed", range(20))
 def test_bounded_least_squares_is_the_best_within_the_bounds(dense_reduction, seed):
     """Karush, Kuhn and Tucker: the slope vanishes inside and points outwards at a bound; other columns are free."""
     generator = np.random.default_rng(seed)

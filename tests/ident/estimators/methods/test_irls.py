@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.recording.recording import Recording
 from ident.estimators.methods.irls import LEAST_HOLD, loosened
@@ -120,7 +121,7 @@ def test_motors_without_equations_take_no_part(clean):
     assert np.sum(np.isnan(left_out.estimation.weights[0])) > np.sum(np.isnan(whole.estimation.weights[0]))
 
 
-@pytest.mark.parametrize("name", ["hard", "huber", "tukey"])
+@each("name", ["hard", "huber", "tukey"])
 def test_the_thresholds_lose_5_percent_on_normal_residuals(name):
     """Efficiency of an M-estimator: E[ψ′]² / E[ψ²]."""
     function = weight_function(name, 1e6)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from filterpy.kalman import KalmanFilter
 
 from drivers.core.errors import UsageError
@@ -17,7 +18,7 @@ from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_re
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
-@pytest.mark.parametrize("ratio", [1e-3, 0.1, 10.0])
+@each("ratio", [1e-3, 0.1, 10.0])
 def test_it_is_filterpys_filter_with_the_models_change_as_input(ratio):
     generator = np.random.default_rng(0)
     modelled = 5.0 * np.sin(np.linspace(0.0, 9.0, 400))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
@@ -118,7 +119,7 @@ def test_given_points_belong_to_the_initial_population() -> None:
     assert found.generations_to(-1.0) is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("make", "message"),
     [
         (lambda: FrogLeaping(frogs=5, memeplexes=10), "10 memeplexes are more than 5 frogs"),

@@ -2,11 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight, particle_stability
 
 
-@pytest.mark.parametrize("weight", [-0.5, 0.0, 0.4, 0.7298, 0.9])
+@each("weight", [-0.5, 0.0, 0.4, 0.7298, 0.9])
 def test_the_variance_is_stable_up_to_polis_bound(weight: float) -> None:
     bound = 24.0 * (1.0 - weight**2) / (7.0 - 5.0 * weight)
     inside, outside = (particle_stability(ConstantWeight(weight), *[0.5 * f * bound] * 2) for f in (0.999, 1.001))

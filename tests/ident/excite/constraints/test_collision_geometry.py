@@ -7,6 +7,7 @@ import struct
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import load_robot, parse_robot
 from ident.excite.constraints.collision_geometry import arm_geometry
@@ -98,7 +99,7 @@ def test_a_link_without_length_is_a_sphere():
     assert np.array_equal(shoulder.start, shoulder.end)
 
 
-@pytest.mark.parametrize("robot", ["ur5e", "ur10", "panda", "up6"])
+@each("robot", ["ur5e", "ur10", "panda", "up6"])
 def test_every_link_of_a_builtin_arm_has_a_capsule(robot):
     robot_file = load_robot(robot)
     model = build_model(robot_file)
@@ -121,7 +122,7 @@ def test_primitives_are_enclosed():
         assert np.all(inside)
 
 
-@pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (2.0, 0.5, 0.1), (0.1, 1.0, 1.0), (0.3, 0.2, 1e-12)])
+@each("sides", [(1.0, 1.0, 1.0), (2.0, 0.5, 0.1), (0.1, 1.0, 1.0), (0.3, 0.2, 1e-12)])
 def test_a_box_is_inside_its_capsules_and_they_are_not_huge(sides):
     rotation = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     capsules = box_capsules(0, rotation, np.array([0.1, 0.2, 0.3]), sides)
@@ -168,7 +169,7 @@ def test_a_mesh_that_is_found_is_enclosed(tmp_path, monkeypatch, kind):
     assert capsule.radius < 0.1
 
 
-@pytest.mark.parametrize(
+@each(
     "shape",
     [
         '<mesh filename="package://nowhere/fore.stl"/>',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.excite.constraints.hull_distance import nearest_points
 
@@ -13,7 +14,7 @@ def ends(*points):
     return [np.array(point, dtype=float)[None, :, None] for point in points]
 
 
-@pytest.mark.parametrize(
+@each(
     ("points", "distance", "normal"),
     [
         (([0, 0, 0], [1, 0, 0], [0.5, -1, 2], [0.5, 1, 2]), 2.0, [0, 0, -1]),  # skew
@@ -31,7 +32,7 @@ def test_closed_forms(points, distance, normal):
     assert np.allclose(found.first - found.second, found.distance[:, None] * found.normal)
 
 
-@pytest.mark.parametrize(
+@each(
     "points",
     [
         ([-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]),  # crossing

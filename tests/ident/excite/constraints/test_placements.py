@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 
 from ident.excite.constraints.placements import moved_by, place, wrench
 from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 
-@pytest.mark.parametrize("seed", range(8))
+@each("seed", range(8))
 def test_frames_and_jacobians_are_pinocchios(random_tree, seed):
     import pinocchio as pin
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from arm_kinds import ARM_KINDS
+from each import each
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
 from daq.commands.confirmation import unchecked_lines
@@ -61,7 +62,7 @@ def uses(constraint, position):
     return dict(zip(constraint.names, constraint.use(pose(position)), strict=True))
 
 
-@pytest.mark.parametrize("robot", ["ur10", "ur10e", "ur5e"])
+@each("robot", ["ur10", "ur10e", "ur5e"])
 def test_an_arm_folded_onto_itself_collides_and_its_home_pose_does_not(robot):
     model, geometry, workspace = built_in(robot)
     constraint = SelfCollision(model, geometry, link_pairs(model, geometry, workspace.ignore_pairs))
@@ -141,7 +142,7 @@ def test_same_distances_as_pinocchio_with_coal():
         assert np.all(ours[~clear] < 0)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@each("seed", range(8))
 def test_derivatives_and_bound_on_random_trees(random_tree, seed):
     model = random_tree(seed, dof=3 + seed % 4)
     geometry = ArmGeometry(tube_capsules(model, None, Workspace()), ())

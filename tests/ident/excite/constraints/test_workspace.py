@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
 from daq.robot.loader import load_robot, parse_robot
@@ -203,7 +204,7 @@ def test_an_arm_that_begins_below_the_table_is_refused():
     assert limits_of("  floor: -0.6\n", below).names == ("clearance to the table",)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_clearances_name_the_link_and_are_what_the_use_is_made_of(seed):
     more = f"  keep_out: [{{box: {{lower: [0.3, -0.3, 0.2], upper: [0.5, 0.3, {0.3 + 0.1 * seed}]}}, name: crate}}]\n"
     constraint = limits_of(more, ARM)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.motion.limits import check_limits
 from daq.motion.trajectories import RestToRest
@@ -157,7 +158,7 @@ def test_a_longer_ramp_leaves_the_variables_their_meaning(family):
     assert longer.motion(variables).duration == family.motion(variables).duration + 2 * 0.5 * getattr(family, "ramp", 0)
 
 
-@pytest.mark.parametrize(
+@each(
     "build",
     [
         lambda limits: FourierFamily(MovingJoints(limits, (0, 1, 2), np.zeros(3)), 5.0, 3, 1, 1.0),
@@ -181,7 +182,7 @@ def test_infinite_limits_leave_finite_motions(build):
         assert np.abs(rows[2]).max() < limit.acceleration
 
 
-@pytest.mark.parametrize("kind", ["fourier", "fourier-quintic", "sines"])
+@each("kind", ["fourier", "fourier-quintic", "sines"])
 def test_what_an_earlier_motion_lacks_is_zero(kind):
     family = FAMILIES[kind]
     fewer = (
@@ -278,7 +279,7 @@ def test_one_unit_of_a_coefficient_uses_a_limit_fully():
         np.testing.assert_allclose(largest[[1, 2, 0], [0, 1, 2]], [0.1, 0.1, 2.0], rtol=1e-2)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@each("seed", range(5))
 def test_a_series_can_begin_elsewhere_on_the_same_path(seed):
     family = FAMILIES["fourier"]
     variables = random_of(family, seed)
@@ -295,7 +296,7 @@ def test_a_series_can_begin_elsewhere_on_the_same_path(seed):
     np.testing.assert_allclose(again, later, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["fourier-quintic", "sines", "points"])
+@each("name", ["fourier-quintic", "sines", "points"])
 def test_other_paths_have_a_beginning_of_their_own(name):
     variables = random_of(FAMILIES[name])
     assert np.array_equal(FAMILIES[name].begun_near_middle(variables), variables)

@@ -9,6 +9,7 @@ from multiprocessing.connection import wait
 
 import numpy as np
 import pytest
+from each import each
 from toy_design import BEST, impossible_problem, maker, slow_problem, toy_problem
 
 from drivers.core.errors import IdentificationError, UsageError
@@ -54,7 +55,7 @@ def test_the_best_of_all_candidates_is_kept_and_progress_is_told():
     assert len({each.best.cost for each in seen if each.finished == 0}) > 3
 
 
-@pytest.mark.parametrize(("workers", "starts", "processes"), [(1, 8, 1), (4, 3, 3), (4, None, 4), (None, 1, 1)])
+@each(("workers", "starts", "processes"), [(1, 8, 1), (4, 3, 3), (4, None, 4), (None, 1, 1)])
 def test_no_more_processes_than_starts(workers, starts, processes):
     assert SearchChoices(workers=workers, starts=starts).processes == processes
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from each import each
 from friction_experiment_arm import GIVEN, arm, experiment, sweeps
 
 from daq.recording.recording import Recording
@@ -102,7 +103,7 @@ def test_the_result_is_written_read_and_shown(given, tmp_path):
     assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("edit", "message"),
     [
         (lambda content: content.pop("kind"), "is not a result of dynid friction"),

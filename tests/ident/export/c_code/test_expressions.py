@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -107,7 +108,7 @@ def test_operations_of_what_the_outputs_need():
     assert (counted.multiplications, counted.additions, counted.sines, counted.others) == (1, 2, 1, 1)
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0, -2.5])
+@each("value", [0.0, 1.0, -2.5])
 def test_functions_of_constants_are_constants(value):
     graph = Graph()
     constant = graph.constant(value)

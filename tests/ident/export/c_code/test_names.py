@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from each import each
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,7 +21,7 @@ def test_every_name_gives_an_identifier(name):
     assert not re.match(r"(is|to)[a-z]", word)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "expected"),
     [
         ("UR5e", "ur5e"),
@@ -43,7 +44,7 @@ def test_no_text_ends_a_comment_or_opens_another(text):
     assert not any(mark in f" {shown} " for mark in ("*/", "/*", "??", "\\", "\n", "\u202e"))
 
 
-@pytest.mark.parametrize("path", ["arm", "arm.c", "arm.h"])
+@each("path", ["arm", "arm.c", "arm.h"])
 def test_one_name_for_both_files(path):
     assert source_paths(Path("out") / path) == (Path("out/arm.h"), Path("out/arm.c"))
 
@@ -52,7 +53,7 @@ def test_a_dot_in_the_name_stays():
     assert source_paths(Path("arm.v2")) == (Path("arm.v2.h"), Path("arm.v2.c"))
 
 
-@pytest.mark.parametrize("path", ['a"b', "a\nb", "-arm", "..", "", "mein arm"])
+@each("path", ['a"b', "a\nb", "-arm", "..", "", "mein arm"])
 def test_names_that_no_include_can_hold_are_refused(path):
     with pytest.raises(UsageError, match="is not a valid name for C files"):
         source_paths(Path(path))

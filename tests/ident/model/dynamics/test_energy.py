@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_kinds import ARM_KINDS
+from each import each
 
 from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters
@@ -32,8 +33,8 @@ def window(dof: int, seed: int, duration: float = 0.8):
     return position, velocity, acceleration, 0.5 * duration * WEIGHTS
 
 
-@pytest.mark.parametrize("aligned", [False, True])
-@pytest.mark.parametrize("seed", range(12))
+@each("aligned", [False, True])
+@each("seed", range(12))
 def test_energy_difference_is_the_work_of_inverse_dynamics(random_tree, seed, aligned):
     """Against Pinocchio's RNEA, prismatic joints included; quadrature to rounding."""
     import pinocchio as pin
@@ -62,13 +63,13 @@ def assert_work_is_stored_or_lost(model, seed: int) -> None:
     assert np.max(np.abs(balance - work)) < 1e-9 * np.max(np.abs(work))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@each("seed", range(12))
 def test_every_column_balances_on_random_trees(random_tree, seed):
     """Motor inertia, friction and offset as well: the same quadrature of losses and work, so kinks do no harm."""
     assert_work_is_stored_or_lost(random_tree(seed + 50, dof=1 + seed % 8), seed)
 
 
-@pytest.mark.parametrize("name", ARM_KINDS)
+@each("name", ARM_KINDS)
 def test_every_column_balances_on_the_built_in_arms(name):
     """Closed loops and coupled motors included, where the file has them."""
     assert_work_is_stored_or_lost(build_model(load_robot(name)), seed=3)
@@ -88,7 +89,7 @@ def test_base_parameters_are_those_of_the_dynamic_model(name):
     assert_same_base(build_model(load_robot(name)))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@each("seed", range(12))
 def test_base_parameters_are_those_of_the_dynamic_model_on_random_trees(random_tree, seed):
     assert_same_base(random_tree(seed, dof=6, aligned=bool(seed % 2)))
 
@@ -99,7 +100,7 @@ def test_weightless_arms_have_the_same_base_as_well(three_joint):
     assert energy_base_parameters(model).count < energy_base_parameters(build_model(three_joint)).count
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_chosen_columns_are_the_same_columns(random_tree, seed):
     model = random_tree(seed, dof=5)
     generator = np.random.default_rng(seed)

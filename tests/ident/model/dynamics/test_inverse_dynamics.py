@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 from loop_arms import spatial_arm, spherical_arm
 
 from ident.model.base_parameters import base_parameters, random_states
@@ -28,7 +29,7 @@ def agree(model, values):
     np.testing.assert_allclose(parts + dynamics.friction(state[1]), expected, rtol=0, atol=1e-9 * scale)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@each("seed", range(12))
 def test_random_trees_with_any_parameters(random_tree, seed):
     generator = np.random.default_rng(seed)
     agree(random_tree(seed), lambda base: generator.standard_normal(base.count))

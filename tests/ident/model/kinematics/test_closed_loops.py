@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 from loop_arms import four_bar_arm, spatial_arm, spherical_arm
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
@@ -57,7 +58,7 @@ def test_the_closing_frames_meet_along_paths(make: Callable[[], RobotFile]) -> N
             np.testing.assert_allclose(np.cross(one[0][:, 2], other[0][:, 2]), 0.0, atol=1e-10)
 
 
-@pytest.mark.parametrize("make", ARMS)
+@each("make", ARMS)
 def test_velocities_and_accelerations_are_the_positions_derivatives(make: Callable[[], RobotFile]) -> None:
     model = build_model(make())
     position, velocity, acceleration = random_states(model, 20, seed=3)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import each
 from pinocchio_reference import pinocchio_regressor
 from regressor_differences import check_gradient
 
@@ -113,7 +114,7 @@ def test_a_loop_that_does_not_close_is_refused_with_its_error() -> None:
     assert caught.value.exit_status == 2
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "new", "words"),
     [
         ("antecedent: c, alpha: 0", "antecedent: c, alpha: 0.1", "the axis of d is not parallel"),
@@ -198,7 +199,7 @@ def test_rows_are_those_of_the_tree_taken_to_the_motors(random_tree: Callable[..
     np.testing.assert_allclose(dense[:, :70], at_motors, atol=1e-9 * np.abs(reference).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_motors_give_the_power_that_the_tree_s_joints_take(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     tree = random_tree(seed, 6)
     model = random_transmission(tree, seed)
@@ -213,7 +214,7 @@ def test_motors_give_the_power_that_the_tree_s_joints_take(random_tree: Callable
     np.testing.assert_allclose(given, taken, atol=1e-9 * np.abs(taken).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_the_gradient_is_that_of_finite_differences(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     model = replace(random_transmission(random_tree(seed, 6), seed), smoothing=0.1)
     motion = np.array(random_states(model, 5, seed))

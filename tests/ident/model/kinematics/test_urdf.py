@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from daq.robot.loader import parse_robot
 from drivers.core.errors import RobotFileError
@@ -71,7 +72,7 @@ def test_a_rounded_right_angle_adds_no_base_parameters():
     assert rounded.margin > 1e6
 
 
-@pytest.mark.parametrize(
+@each(
     ("locked", "more", "xml", "words"),
     [
         ("{}", "", URDF, ["does not name: finger", "locked: {finger: 0}"]),

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from each import each
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 
@@ -55,8 +56,8 @@ def test_equal_to_filterpy_sample_by_sample(samples: int, cutoff: float, order: 
         assert np.all(np.abs(ours - theirs).max(axis=1) < 1e-9 * np.abs(theirs).max(axis=1))
 
 
-@pytest.mark.parametrize("order", [WHITE_CURVATURE, WHITE_SNAP])
-@pytest.mark.parametrize("frequency", [1.0, 4.0, 6.0])
+@each("order", [WHITE_CURVATURE, WHITE_SNAP])
+@each("frequency", [1.0, 4.0, 6.0])
 def test_the_smoother_is_a_zero_phase_butterworth(order: int, frequency: float) -> None:
     cutoff = 4.0
     time = np.arange(4000) / RATE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 
 from ident.signals.smoothing.five_point import (
     MOST_PASSES,
@@ -23,8 +24,8 @@ def test_five_point_leaves_a_cubic_unchanged_up_to_its_ends(passes: int) -> None
     np.testing.assert_allclose(five_point_cubic(rows, passes), rows, atol=1e-12)
 
 
-@pytest.mark.parametrize("relative", [0.03, 0.1, 0.2])
-@pytest.mark.parametrize("passes", [1, 5])
+@each("relative", [0.03, 0.1, 0.2])
+@each("passes", [1, 5])
 def test_five_point_gain_of_a_sinusoid(relative: float, passes: int) -> None:
     wave = np.sin(2 * np.pi * relative * np.arange(400))[None]
     smooth = five_point_cubic(wave, passes)
@@ -32,8 +33,8 @@ def test_five_point_gain_of_a_sinusoid(relative: float, passes: int) -> None:
     np.testing.assert_allclose(smooth[:, inner], five_point_gain(relative, passes) * wave[:, inner], atol=1e-6)
 
 
-@pytest.mark.parametrize("rate", [125.0, 500.0, 5000.0])
-@pytest.mark.parametrize("cutoff", [5.0, 40.0])
+@each("rate", [125.0, 500.0, 5000.0])
+@each("cutoff", [5.0, 40.0])
 def test_five_point_passes_bring_the_gain_to_one_half(rate: float, cutoff: float) -> None:
     passes = passes_for(cutoff, rate)
     assert 1 <= passes <= MOST_PASSES
@@ -51,7 +52,7 @@ def test_savitzky_golay_is_exact_for_polynomials_of_its_degree() -> None:
     np.testing.assert_allclose(second[0], 12 * TIME**2, atol=1e-6)
 
 
-@pytest.mark.parametrize("relative", [0.01, 0.05, 0.15])
+@each("relative", [0.01, 0.05, 0.15])
 def test_savitzky_golay_window_is_the_longest_with_half_the_gain(relative: float) -> None:
     half_width = half_width_for(relative, 1.0, 10_000)
     assert savitzky_golay_gain(relative, half_width) >= 0.5 > savitzky_golay_gain(relative, half_width + 1)
