@@ -32,6 +32,14 @@ _MODEL = (
         "Check `model.gravity`, the mounting, and the signs of the drive gains.",
     ),
     CheckKind(
+        "gravity-missing",
+        "mistake",
+        "serious",
+        ALL,
+        "the torques hold no gravity",
+        "Record the torques of the motors, not those beyond a compensation of gravity.",
+    ),
+    CheckKind(
         "gravity-direction",
         "mistake",
         "serious",

@@ -111,6 +111,11 @@ class Bench:
             text = text.replace(old, new)
         return parse_robot(text, where="said", folder=None)
 
+    def weightless(self) -> Names:
+        """An arm that was recorded without gravity, identified with its file's."""
+        arm = self.said({"model:\n": "model:\n  gravity: [0, 0, 0]\n"})
+        return self.tested(simulate_recording(arm, _motion(arm), 20.0, 1), robot_file=self.arm)
+
     def of_another_size(self, factor: float) -> Names:
         """An arm with a further length, identified with all lengths of its file multiplied by a factor."""
         rows = (("alpha: pi/2, d: 0, r: 0", 0.3, 0.0), ("alpha: 0, d: 0.4, r: 0.1", 0.4, 0.1))

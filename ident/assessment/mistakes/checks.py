@@ -72,7 +72,7 @@ def mistake_checks(
     refit = Refit(model, experiment, base.columns, few, solution)
     tried = candidates(refit, independent, poor=not well)
     deviations = most_likely(refit, runs, independent, tried)
-    found = [] if well else explanations(competition, deviations)
+    found = explanations(competition, deviations)
     if found:
         axes = all(one.name == "joint-sign" for one in found)  # a neighbour that is turned over looks the same
         return [_check(model, found, _equal_turns(competition, refit, found[0]) if axes else ())]
@@ -174,6 +174,7 @@ _IN_COLUMNS = {"torque": "the torques", "position": "the positions", "both": "po
 _CLAUSES = {
     "motors-coupled": "the motors of {joints} are coupled",
     "gravity-opposite": "gravity has the opposite sign",
+    "gravity-missing": "the torques hold no gravity",
     "torques-opposite": "all torques have the opposite sign",
     "positions-opposite": "all positions have the opposite sign",
     "torque-sign": "the torque of {joints} has the opposite sign",
@@ -185,6 +186,7 @@ _CLAUSES = {
 }
 _REMEDIES = {
     "gravity-opposite": "check `model.gravity`, the mounting, and the signs of the drive gains",
+    "gravity-missing": "record the torques of the motors, from which no gravity was taken off",
     "torques-opposite": "reverse the sign of all drive gains, or of the torque columns",
     "positions-opposite": "reverse the sign of the position columns, or the joints' axes in the robot file",
     "torque-sign": "check the sign of its drive gain",

@@ -16,7 +16,7 @@ from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints, on_active
 from ident.assessment.mistakes.equations import Equations, HypothesisFit, equations
-from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, couplings, mistakes, opposite_gravity
+from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, couplings, mistakes, other_gravity
 from ident.assessment.refit import Deviation, in_unknown_gravity
 from ident.friction.table import RUBBING_KINDS
 from ident.model.base_parameters import BaseParameters
@@ -33,6 +33,9 @@ falls by less than 30 %."""
 
 WELL_EXPLAINED = 0.15
 """Relative error of a joint below which, all joints alike and at no cost of the conditions, nothing is searched."""
+
+DOUBTFUL = 0.05
+"""The same above which gravity may be missing."""
 
 EXPLAINED = 0.2
 """Relative error of the whole arm above which no hypothesis counts as an explanation: something else is wrong."""
@@ -92,7 +95,10 @@ class Competition:
         rows = instants.counted.sum(axis=1)
         self.seldom_counted = frozenset(np.flatnonzero(rows < FEWEST_ROWS * rows.max()).tolist())
         self._kernel = RegressorKernel(model, base.columns)
-        self._opposite = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
+        self._in_gravity = {
+            name: RegressorKernel(replace(model, gravity=size * model.gravity), base.columns)
+            for name, size in (("gravity-opposite", -1.0), ("gravity-missing", 0.0))
+        }
         self._inertia = on_active(inertia_conditions(model, experiment, base), self.active)
         self._equations: dict[tuple[object, ...], tuple[Equations, FloatArray]] = {}
         self.recorded = as_recorded(model.dof)
@@ -100,12 +106,13 @@ class Competition:
     def system(self, mistake: Mistake) -> tuple[Equations, FloatArray]:
         """Equations with a mistake's positions and gravity, and their conditions (c, a)."""
         coupled = (mistake.joints, mistake.coupling, mistake.signal) if mistake.coupling else None
-        key = mistake.positions, mistake.signal == "gravity", coupled
+        kernel = self._in_gravity.get(mistake.name, self._kernel)
+        key = mistake.positions, kernel, coupled
         if key not in self._equations:
             moved = self.instants.with_positions(mistake.positions)
             if mistake.coupling and mistake.signal == "both":
                 moved = moved.less(mistake.joints[0], mistake.joints[1], mistake.coupling)
-            regressor = moved.regressor(self._opposite if mistake.signal == "gravity" else self._kernel)
+            regressor = moved.regressor(kernel)
             friction = on_active(friction_conditions(self.model, self.base, moved, regressor), self.active)
             conditions = np.vstack([self._inertia, friction])
             rows = regressor[:, self.active]
@@ -244,18 +251,19 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
         competition: the recording.
         deviations: gains, lengths, zeros and directions of gravity, best first; the first of each kind is a rival.
     """
-    if not competition.joints or competition.well_explained():
-        return []
-    recorded = competition.bound(competition.recorded)
+    recorded = competition.bound(competition.recorded) if competition.joints else None
     if recorded is None:
         return []
-    tried = mistakes(competition.model.dof, competition.joints)
-    if np.any(competition.model.gravity):
-        tried.append(opposite_gravity(competition.model.dof))
+    tried = other_gravity(competition.model.dof) if np.any(competition.model.gravity) else []
+    well = competition.well_explained()
+    if well:  # inertia and friction may hide that gravity is missing
+        tried = tried[:1] if np.max(recorded.relative) > DOUBTFUL**2 else []
+    else:
+        tried = [*mistakes(competition.model.dof, competition.joints), *tried]
     found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
         found = []
-    if not found or competition.error(found[0]) > WELL_BY_ONE:
+    if not well and (not found or competition.error(found[0]) > WELL_BY_ONE):
         level = found[0].fit.level - RIVAL if found else np.inf
         coupled = competition.best(couplings(competition.model.dof, competition.joints))
         if coupled and coupled[0].fit.level < level and competition.error(coupled[0]) < COUPLED:

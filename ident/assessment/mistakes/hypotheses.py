@@ -45,9 +45,10 @@ def as_recorded(count: int) -> Mistake:
     return Mistake("", "both", (), _kept(count), _kept(count))
 
 
-def opposite_gravity(count: int) -> Mistake:
-    """Gravity of the opposite sign, and the columns as recorded."""
-    return Mistake("gravity-opposite", "gravity", (), _kept(count), _kept(count))
+def other_gravity(count: int) -> list[Mistake]:
+    """Torques without gravity, and gravity of the opposite sign; the columns as recorded."""
+    names = ("gravity-missing", "gravity-opposite")
+    return [Mistake(name, "gravity", (), _kept(count), _kept(count)) for name in names]
 
 
 def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:

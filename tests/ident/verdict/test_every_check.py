@@ -315,6 +315,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.tested(robot_file=b.said({"model:\n": "model:\n  gravity: [0, 9.81, 0]\n"})),
         lambda b: b.clean(),
     ),
+    "gravity-missing": (lambda b: b.weightless(), lambda b: b.clean()),
     "torques-opposite": (lambda b: b.tested(changed(b.recorded(), lambda i: -i)), lambda b: b.clean()),
     "positions-opposite": (lambda b: b.tested(changed(b.recorded(), lambda q: -q, "position")), lambda b: b.clean()),
     "torque-sign": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, -1, 1])), lambda b: b.clean()),
