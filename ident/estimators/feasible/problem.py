@@ -24,6 +24,7 @@ from ident.model.joint_columns import joint_column
 from ident.model.parameters import INERTIAL, LINK_SIZE, MASS, PAIR_SYMBOLS, StandardParameter
 from ident.model.regressor import model_torque, regressor
 from ident.regression.estimate import Estimate
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 INTERIOR = 1e-3
 """A link's pseudo-inertia exceeds this share of its prior's, a joint's inertia and friction this share of its unit."""
@@ -326,11 +327,15 @@ def _joint_sizes(
             sizes[index] = FRICTION_SHARE * torque / _signal_size(model, parameter, torque, limits.velocity)
     # The diagonal of pinv(RᵀR) itself may come out a rounding below 0 where the rank is low.
     deviations = np.linalg.norm(np.linalg.pinv(estimate.root, rcond=ROOT_RANK), axis=1)
+    errors = np.sqrt(np.clip(np.nan_to_num(np.diag(estimate.covariance), nan=np.inf), 0.0, None))
     for place, (column, value) in enumerate(zip(estimate.active, estimate.values, strict=True)):
         index = base.columns[column]
         if parameters[index].kind != "inertial" and np.count_nonzero(base.projection[column]) == 1:
-            sign = _sign(parameters[index])
-            sizes[index] = max(sign * value if sign else abs(value), float(deviations[place]))
+            sign, deviation = _sign(parameters[index]), float(deviations[place])
+            share = ROTOR_SHARE if parameters[index].symbol in ("Ia", "Iac") else FRICTION_SHARE
+            # A joint that hardly moved has no more friction than its motor overcomes, whatever the estimate.
+            most = max(sizes[index] / share, abs(value) - WITHIN_95_PERCENT * float(errors[place]))
+            sizes[index] = min(max(sign * value if sign else abs(value), deviation), most)
             pulls[index] = 1.0
     for index, size in offset_sizes(model, base, estimate).items():
         sizes[index] = min(sizes[index], size)

@@ -164,6 +164,23 @@ def test_joints_without_torque_limits_are_as_weak_as_the_data_say() -> None:
     assert found.misfit < 2.0 * base.count
 
 
+def test_friction_that_the_data_leave_open_is_no_greater_than_the_motor() -> None:
+    robot_file = load_robot("ur5e")
+    model = build_model(robot_file)
+    base, estimate = estimated(model, truth_vector(robot_file), 0.02)
+    column = base.kinds.index("coulomb")
+    limit = model.limits[0].torque
+    assert limit is not None
+    root, values, covariance = estimate.root.copy(), estimate.values.copy(), estimate.covariance.copy()
+    root[:, column] *= 1e-9
+    values[column] = 1e3 * limit
+    covariance[column, column] = (1e3 * limit) ** 2
+    found = consistent_parameters(
+        model, base, replace(estimate, root=root, values=values, covariance=covariance), robot_file
+    )
+    assert found.values[base.columns[column]] < 2.0 * limit
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_noise_never_gives_what_cannot_exist(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     model = random_tree(seed, dof=2 + seed % 5, aligned=seed % 2 == 0)
