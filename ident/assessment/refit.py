@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import scipy.linalg
@@ -20,6 +19,16 @@ import scipy.linalg
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.assessment.instants import BLOCKS, Instants
+from ident.assessment.unknowns import (
+    SHIFTS,
+    Deviation,
+    Unknown,
+    in_unknown_gravity,
+    scaled,
+    shifted,
+    shifted_origins,
+    tangents,
+)
 from ident.linear_algebra.triangular import solved_factor, triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, model_torque
@@ -28,9 +37,6 @@ from ident.regression.observability import Experiment, experiment_base
 
 SHIFT_STEP = 1e-3
 """[m or rad] by which a joint's origin or zero is shifted for the derivative of the torque."""
-
-ZERO_LENGTH = 1e-4
-"""[m]; shorter components of a translation are taken for 0 on purpose."""
 
 DEPENDENT = 1e-10
 """Singular value over the largest one below which columns count as dependent."""
@@ -52,73 +58,18 @@ GAINS = (1e-3, 1e3)
 UNCERTAIN_START = 3.0
 """A joint's share in the smallest singular vector, over the singular value, below which its sign is noise."""
 
-UNKNOWN_DIRECTION = (0.48, 0.6, -0.64)
-"""A direction of gravity (unit vector) that is special for no arm: every parameter that some gravity shows acts."""
 
 LARGEST_STEP = 0.5
 """[rad] by which gravity's direction turns in one iteration."""
 
 TINY = float(np.finfo(float).tiny)
-SHIFTS = ("length", "scale", "zero", "late")
-"""Kinds of unknowns that change the model's positions."""
 
 THROUGHOUT = 0.3
 """Share of a deviation's likelihood that any block of the recording may be left out for."""
 
 TELLING = 0.3
-TOLD_APART = 10.0
+DISTINGUISHABLE = 10.0
 """Lengths are estimated together as far as each shows a change by this share with so many σ beside the others."""
-
-Kind = Literal["gain", "gains", "length", "scale", "lengths", "zero", "late", "gravity"]
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """A number of the robot file, or gravity's direction.
-
-    Attributes:
-        kind: of it; `late` is a joint's position against all else that was recorded, `scale` is a factor common to all
-            lengths, `lengths` are all that the data show, together, and `gains` all but that of `joint`.
-        joint: number in the tree for a length, among the motors for a gain, a zero or a late position, -1 for gravity
-            and all lengths.
-        axis: of the parent's frame along which the joint's origin shifts; None but for a length.
-    """
-
-    kind: Kind
-    joint: int = -1
-    axis: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Deviation:
-    """How far an unknown is from what the robot file says.
-
-    Attributes:
-        unknown: which.
-        value: model torque over recorded torque minus 1, shift [m], factor on all lengths minus 1, angle [rad or m],
-            time by which it is late [s], or the angle [rad] between gravity's direction and the file's.
-        std: its standard deviation, the equations being independent.
-        likelihood: doubled log-likelihood ratio against the file's value, likewise.
-        parameters: (b,) base parameters that go with it.
-        model: with it; the columns of `parameters` are its base parameters `columns`.
-        columns: (b,) standard columns.
-        parts: of several lengths or gains, each with its value and the standard deviation.
-    """
-
-    unknown: Unknown
-    value: float
-    std: float
-    likelihood: float
-    parameters: FloatArray
-    model: DynamicModel
-    columns: tuple[int, ...]
-    parts: tuple[tuple[Unknown, float, float], ...] = ()
-
-    @property
-    def gains(self) -> dict[int, float]:
-        """Model torque over recorded torque minus 1, by joint whose gain deviates."""
-        alone = (self.unknown, self.value, self.std)
-        return {part.joint: value for part, value, _ in self.parts or (alone,) if part.kind == "gain"}
 
 
 class Refit:
@@ -225,7 +176,7 @@ class Refit:
         solved = None
         for _ in range(RELINEARISATIONS):
             slopes = np.array([self._length_slope(model, origin, parameters) for origin in origins])
-            chosen = chosen or self._told_apart(slopes, sizes)
+            chosen = chosen or self._distinguishable(slopes, sizes)
             solved = self._solved(regressor, self.active, slopes[chosen])
             if len(chosen) < 2 or solved.unknown is None or solved.covariance is None:
                 return None
@@ -241,14 +192,8 @@ class Refit:
             regressor = self.instants.filtered_regressor(RegressorKernel(model, self.columns))
         if solved is None or solved.covariance is None:
             return None
-        stds = np.sqrt(np.diag(solved.covariance))
-        parts = tuple(
-            (Unknown("length", *origins[n]), float(values[n]), float(std)) for n, std in zip(chosen, stds, strict=True)
-        )
-        largest = float(max(abs(shift) / std for _, shift, std in parts))
-        return Deviation(
-            Unknown("lengths"), largest, 1.0, self._likelihood(solved), parameters, model, self.columns, parts
-        )
+        parts = [Unknown("length", *origins[n]) for n in chosen]
+        return self._together(Unknown("lengths"), parts, values[chosen], solved.covariance, solved, model)
 
     def gains(self) -> Deviation | None:
         """All gains but the strongest joint's, together; None where these are fewer than two, or not all positive.
@@ -281,41 +226,48 @@ class Refit:
         solved = _settled(self._plain, self.rows, 0, others)
         if solved.unknown is None or solved.covariance is None:
             return None
-        stds = np.sqrt(np.diag(solved.covariance))
-        parts = tuple(
-            (Unknown("gain", n), float(value), float(std))
-            for n, value, std in zip(others, solved.unknown, stds, strict=True)
-        )
-        largest = float(max(abs(value) / std for _, value, std in parts))
-        return Deviation(
-            Unknown("gains", self.used[strongest]),
-            largest,
-            1.0,
-            self._likelihood(solved),
-            self._all(solved.parameters),
-            self.model,
-            self.columns,
-            parts,
-        )
+        whole, parts = Unknown("gains", self.used[strongest]), [Unknown("gain", n) for n in others]
+        return self._together(whole, parts, solved.unknown, solved.covariance, solved, self.model)
+
+    def _together(
+        self,
+        whole: Unknown,
+        parts: Sequence[Unknown],
+        values: FloatArray,
+        covariance: FloatArray,
+        solved: _Solved,
+        model: DynamicModel,
+    ) -> Deviation:
+        """Several unknowns (k,) as one; its value is the largest over its standard deviation."""
+        std = np.sqrt(np.diag(covariance))
+        largest = float(np.max(np.abs(values) / std))
+        each = tuple(zip(parts, values.tolist(), std.tolist(), strict=True))
+        parameters = self._all(solved.parameters)
+        return Deviation(whole, largest, 1.0, self._likelihood(solved), parameters, model, self.columns, each)
 
     def _length_slope(self, model: DynamicModel, origin: tuple[int, int], parameters: FloatArray) -> FloatArray:
         """(n, N) derivative of a model's torque by a length."""
-        few = self.instants
-        motion = (few.position, few.velocity, few.acceleration, few.temperature)
+        ends = [(shifted(model, *origin, step), self.instants) for step in (SHIFT_STEP, -SHIFT_STEP)]
+        return self._difference(ends, parameters)
+
+    def _difference(self, ends: Sequence[tuple[DynamicModel, Instants]], parameters: FloatArray) -> FloatArray:
+        """(n, N) derivative of the torque by what is `SHIFT_STEP` ahead at the first end, and behind at the second."""
         ahead, behind = (
-            model_torque(shifted(model, *origin, step), self.columns, parameters, *motion)
-            for step in (SHIFT_STEP, -SHIFT_STEP)
+            model_torque(
+                model, self.columns, parameters, moved.position, moved.velocity, moved.acceleration, moved.temperature
+            )
+            for model, moved in ends
         )
         return np.asarray((ahead - behind) / (2.0 * SHIFT_STEP))
 
-    def _told_apart(self, slopes: FloatArray, sizes: FloatArray) -> list[int]:
+    def _distinguishable(self, slopes: FloatArray, sizes: FloatArray) -> list[int]:
         """Lengths of slopes (k, n, N) whose changes by `TELLING` the parameters and each other leave visible."""
         blocks = self._blocks(self.regressor, self.active, slopes)
         width = len(self.active)
         parts = [np.sqrt(self.rows[n] / max(self._file_fit.sums[n], TINY)) * one for n, one in blocks.items()]
         rest = triangular(np.vstack(parts))[width:-1, width:-1] * TELLING * sizes
         _, factor, order = scipy.linalg.qr(rest, pivoting=True, mode="economic")
-        return sorted(int(n) for n, size in zip(order, np.abs(np.diag(factor)), strict=False) if size > TOLD_APART)
+        return sorted(int(n) for n, size in zip(order, np.abs(np.diag(factor)), strict=False) if size > DISTINGUISHABLE)
 
     def opposite_gravity(self) -> Deviation:
         """Gravity exactly opposite to the file's, a sign and no number to be estimated."""
@@ -367,12 +319,7 @@ class Refit:
 
     def slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
         """(n, N) derivative of the model's torque by one of `SHIFTS` at a value."""
-        torques = []
-        for step in (SHIFT_STEP, -SHIFT_STEP):
-            model, moved = self.shifted(unknown, value + step)
-            motion = (moved.position, moved.velocity, moved.acceleration, moved.temperature)
-            torques.append(model_torque(model, self.columns, parameters, *motion))
-        return np.asarray((torques[0] - torques[1]) / (2.0 * SHIFT_STEP))
+        return self._difference([self.shifted(unknown, value + step) for step in (SHIFT_STEP, -SHIFT_STEP)], parameters)
 
     def _gravity(self, unknown: Unknown, relinearisations: int, start: FloatArray | None) -> Deviation | None:
         size = float(np.linalg.norm(self.model.gravity))
@@ -477,42 +424,6 @@ class Refit:
             rows = np.vstack([regressor[n][list(active)], slopes[:, n], self.instants.torque[None, n]])
             blocks[n] = triangular(rows[:, self.instants.counted[n]].T)
         return blocks
-
-
-def shifted_origins(model: DynamicModel) -> list[tuple[int, int]]:
-    """Joints and axes of their parents' frames along which their origins have a length; none where loops close."""
-    if model.transmission.closed:
-        return []
-    return [
-        (number, axis)
-        for number, joint in enumerate(model.joints)
-        for axis in range(3)
-        if abs(joint.translation[axis]) > ZERO_LENGTH
-    ]
-
-
-def shifted(model: DynamicModel, joint: int, axis: int, step: float) -> DynamicModel:
-    """The arm with a joint's origin shifted in its parent's frame [m]."""
-    translation = model.joints[joint].translation.copy()
-    translation[axis] += step
-    joints = list(model.joints)
-    joints[joint] = replace(joints[joint], translation=translation)
-    return replace(model, joints=tuple(joints))
-
-
-def scaled(model: DynamicModel, factor: float) -> DynamicModel:
-    """The arm with all lengths between its joints multiplied by a factor."""
-    return replace(model, joints=tuple(replace(one, translation=factor * one.translation) for one in model.joints))
-
-
-def in_unknown_gravity(model: DynamicModel) -> DynamicModel:
-    """The arm in a gravity that shows every parameter that some gravity shows."""
-    return replace(model, gravity=float(np.linalg.norm(model.gravity)) * np.array(UNKNOWN_DIRECTION))
-
-
-def tangents(direction: FloatArray) -> FloatArray:
-    """Two unit vectors (2, 3) across a direction (3,) and across each other."""
-    return np.asarray(np.linalg.svd(direction[None])[2][1:])
 
 
 def _most_seen_first(directions: FloatArray, pulls: FloatArray) -> FloatArray:

@@ -13,7 +13,8 @@ from daq.importers.import_file import import_file
 from daq.robot.loader import parse_robot
 from ident.assessment.instants import Columns, Instants, instants
 from ident.assessment.mistakes.competition import Competition, explanations
-from ident.assessment.refit import Refit, Unknown
+from ident.assessment.refit import Refit
+from ident.assessment.unknowns import Unknown
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.regressor import RegressorKernel

@@ -22,7 +22,8 @@ from ident.assessment.model_errors import (
     reported,
     unchecked_lengths,
 )
-from ident.assessment.refit import Deviation, Refit
+from ident.assessment.refit import Refit
+from ident.assessment.unknowns import Deviation
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel

@@ -22,8 +22,9 @@ from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
 from ident.assessment.mistakes.ripple import less_ripples, ripple_checks
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import simplest_first
-from ident.assessment.refit import Refit, Unknown, tangents
+from ident.assessment.refit import Refit
 from ident.assessment.torque_level import _small_beside, torque_level_checks, weight_checks
+from ident.assessment.unknowns import Unknown, tangents
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import BaseParameters, base_parameters, random_states

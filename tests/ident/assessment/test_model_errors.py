@@ -13,7 +13,8 @@ from daq.robot.loader import RobotFile
 from ident.assessment import instants as few
 from ident.assessment.instants import instants
 from ident.assessment.model_errors import candidates, model_error_checks, most_likely, quarter_turns
-from ident.assessment.refit import Deviation, Refit, Unknown, shifted_origins
+from ident.assessment.refit import Refit
+from ident.assessment.unknowns import Deviation, Unknown, shifted_origins
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
