@@ -69,7 +69,7 @@ def mistake_checks(
     rippled = ripple_checks(competition)
     if rippled:
         return rippled
-    well = competition.well_explained()
+    well = competition.well_explained
     refit = Refit(model, experiment, base.columns, few, solution)
     tried = candidates(refit, independent, poor=not well)
     deviations = most_likely(refit, runs, independent, tried)

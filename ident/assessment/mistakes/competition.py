@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -154,8 +155,9 @@ class Competition:
         system, conditions = self.system(mistake)
         return system.fit(mistake.torques, conditions, blocks)
 
+    @cached_property
     def well_explained(self) -> bool:
-        """Return whether the recording as it is leaves nothing to explain."""
+        """Whether the recording as it is leaves nothing to explain."""
         free, bound = self.free(self.recorded), self.bound(self.recorded)
         if free is None or bound is None:
             return False
@@ -255,7 +257,7 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     if recorded is None:
         return []
     tried = other_gravity(competition.model.dof) if np.any(competition.model.gravity) else []
-    well = competition.well_explained()
+    well = competition.well_explained
     if well:  # inertia and friction may hide that gravity is missing
         tried = tried[:1] if np.max(recorded.relative) > DOUBTFUL**2 else []
     else:

@@ -48,7 +48,7 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
     recorded = competition.bound(competition.recorded) if folded else None
     if recorded is not None:  # a torque that is explained as it is has its sign, whatever another joint's noise is
         folded = [joint for joint in folded if recorded.relative[joint] >= WELL_EXPLAINED**2]
-    if not folded or competition.well_explained():
+    if not folded or competition.well_explained:
         return []
     if len(folded) >= SEVERAL and all(value >= -BELOW_ZERO for value in least.values()):
         return folded

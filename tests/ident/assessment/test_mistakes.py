@@ -115,7 +115,7 @@ def test_each_mistake_is_what_explains_the_data_or_stays_among_those_that_do(fou
 
 def test_a_sound_recording_is_explained_as_it_is(found):
     sound = competition(found, light(found))
-    assert sound.well_explained()
+    assert sound.well_explained
     assert explanations(sound, []) == []
     runs = [run.prepared for run in found.runs]
     independent = found.corrected.effective_rows
