@@ -97,5 +97,5 @@ def _pieces(samples: int) -> Iterator[slice]:
 
 
 def pinocchio_columns(model: DynamicModel) -> list[int]:
-    """For each of our 10·n inertial columns, the number of Pinocchio's column."""
+    """Number of Pinocchio's column for each of our 10·n inertial columns."""
     return [10 * link + PINOCCHIO_ORDER.index(symbol) for link in range(model.dof) for symbol in INERTIAL]

@@ -376,7 +376,7 @@ def replace_files(texts: Mapping[Path, str]) -> None:
 
 
 def _remove_unfinished(path: Path) -> None:
-    """Remove what killed writers of this file or folder left: whoever holds its lock is the only one."""
+    """Remove what killed writers of this file or folder left; the holder of its lock is the only writer."""
     for beside in unfinished_files(path):
         if intended_name(beside) == path:  # a long name is cut, and may be another's
             if beside.is_dir() and not beside.is_symlink():

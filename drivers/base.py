@@ -121,8 +121,8 @@ class Driver(Protocol):
         """Send a joint position (n,) [rad or m] to be reached within one period; takes control first if need be.
 
         Raises:
-            DriverStateError: this driver or this connection cannot move the arm, a position is beyond what it can be
-                told, or a first one is too far from where the arm is.
+            DriverStateError: this driver or this connection cannot move the arm, a position is beyond what can be
+                commanded, or a first one is too far from where the arm is.
             ConnectionLostError: the connection broke.
             ValueError: not n finite numbers.
         """

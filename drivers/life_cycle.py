@@ -64,7 +64,7 @@ class LifeCycle(ABC):
             require_state(self._state, "open", action)
 
     def _require_running(self) -> None:
-        """Refuse a motion unless samples flow and nobody stops the arm."""
+        """Refuse a motion unless samples flow and no stop is in progress."""
         require_state(self._state, "running", "move")
         if self._halted:
             raise DriverStateError("the arm is being stopped", hint="start again before the next motion")

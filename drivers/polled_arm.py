@@ -29,7 +29,7 @@ HOLD_LEAD = 0.05
 STOP_LIMIT = 2.0
 """How long [s] an arm may take to come to rest."""
 STOP_SENDINGS = 3
-"""So often a stop is sent: nobody confirms it."""
+"""So often a stop is sent: it is not confirmed."""
 
 
 def not_at_rest(silent: Sequence[str], *, limp: bool) -> str:

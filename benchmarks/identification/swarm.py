@@ -45,7 +45,7 @@ def problem(samples: int) -> tuple[FloatArray, FloatArray, QuadraticCost, Search
 
 
 def run_rows(samples: int = 20_000, rounds: int = 5) -> dict[str, float]:
-    """On the factor against all rows.
+    """Compare the cost on the factor with that on all rows.
 
     Raises:
         DisagreementError: the costs differ.

@@ -85,7 +85,7 @@ class _Ages:
 
 
 def latency(seconds: float) -> Figures:
-    """From a sample's arrival at the socket until the recorder has it, over RTDE at 500 Hz."""
+    """Time from a sample's arrival at the socket until the recorder has it, over RTDE at 500 Hz."""
     robot_file = load_robot("ur5e")
     ages = _Ages()
     with simulated_arm("ur5e", seed=1) as host, tempfile.TemporaryDirectory() as folder:

@@ -45,7 +45,7 @@ def arrays_of_frame(frame: Any) -> NamedArrays:
     if not hasattr(frame, "columns") or not hasattr(frame, "shape"):
         raise UsageError(f"a {type(frame).__name__} is not a data frame", where=where, hint=_other_door(frame))
     names = [_name(column) for column in frame.columns]
-    if all(isinstance(column, (int, np.integer)) for column in frame.columns):  # nobody named them
+    if all(isinstance(column, (int, np.integer)) for column in frame.columns):  # unnamed
         names = [f"column {place}" for place in range(1, len(names) + 1)]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ImportFileError(f"has several columns called {listed(twice)}", where=where, hint="rename them")

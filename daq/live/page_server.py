@@ -49,7 +49,7 @@ MOST_ALARMS = 1000
 LARGEST_MESSAGE = 4096
 """Bytes of a message of a browser; nothing that it sends is of use."""
 FAREWELL = 0.3
-"""[s] in which pages are told that the session has ended."""
+"""[s] in which pages receive the end of the session."""
 
 KEPT = 6000
 """Groups that a page gets when it is opened: a minute of 100 groups a second."""

@@ -233,7 +233,7 @@ def _print_lines(pictures: Iterator[Status]) -> None:
         said = status.elapsed
         of = f" of {status.total:.0f}" if status.total else ""
         streams = ", ".join(f"{visible(s.name)} {s.samples} samples, {s.lost} lost" for s in status.streams)
-        with suppress(OSError):  # nobody reads any more
+        with suppress(OSError):  # no reader is left
             print(f"{visible(state)}: {status.elapsed:.0f}{of} s; {streams}", file=sys.stderr, flush=True)
 
 

@@ -54,7 +54,7 @@ def checked_approach(
 
 @dataclass(frozen=True)
 class TimeScaled:
-    """A motion stretched in time: velocities are multiplied by `scale`, accelerations by its square."""
+    """A motion slowed down in time: velocities are multiplied by `scale`, accelerations by its square."""
 
     motion: Motion  # at full speed
     scale: float  # share of its speed, above 0 and at most 1

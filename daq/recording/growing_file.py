@@ -124,7 +124,7 @@ class GrowingFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._reserved = 0
-        # Its name is its own, so that nobody else writes it; a reader that looks too early must not stop the recording.
+        # Its name is unique: no other process writes it. A reader that looks too early must not stop the recording.
         self.file: Any = h5py.File(path, "r+", libver="latest", locking=False)
         """The HDF5 file; its datasets are to be opened before `allow_readers`."""
         try:

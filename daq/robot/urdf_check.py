@@ -30,7 +30,7 @@ def urdf_file_text(path: Path, hint: str = "") -> str:
     """The text of a URDF, as XML that every parser takes.
 
     ROS takes files with blank lines before the XML declaration, and with tags and attributes of other programs
-    (`drake:acceleration`) whose namespace nobody declared: the first go, the second are declared.
+    (`drake:acceleration`) whose namespace is not declared: the first go, the second are declared.
 
     Raises:
         RobotFileError: as `read_text`.

@@ -78,7 +78,7 @@ class SessionReport:
     error: DynidError | None = None
     # which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did
     heavy_loss: str = ""
-    light_loss: str = ""  # which streams lost fewer, and why; empty where none did, or nobody knows why
+    light_loss: str = ""  # which streams lost fewer, and why; empty where none did, or the cause is unknown
     # the recording; None where the motion was refused or interrupted before it began: there is none then
     file: Path | None = None
 

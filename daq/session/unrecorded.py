@@ -1,4 +1,4 @@
-"""Who keeps the samples of a session: a recorder, or nobody, where they are only watched."""
+"""Who keeps the samples of a session: a recorder, or none, where they are only watched."""
 
 from __future__ import annotations
 

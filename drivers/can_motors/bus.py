@@ -159,11 +159,11 @@ class MotorBus:
         return replace(feedback, ages=ages)
 
     def forget_surplus(self) -> None:
-        """Count answers anew: frames that nobody counted were answered, too. What is still awaited may come later."""
+        """Count answers anew: frames that were not counted were answered, too. What is still awaited may come later."""
         self._surplus = [min(surplus, 0) for surplus in self._surplus]
 
     def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
-        """Send frames and hear what the motors say, waiting until all have told everything, `patience` [s] at most.
+        """Send frames and receive answers until all motors have answered in full, `patience` [s] at most.
 
         Time in which this process did not run is none of waiting. Where an index is given (`of`), only that motor is
         waited for, also for what it tells slowly.

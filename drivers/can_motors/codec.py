@@ -118,11 +118,11 @@ class MotorCodec(ABC):
         return {}
 
     def release(self) -> Mapping[str, float]:
-        """Return what its registers shall hold when nobody commands it any more and it shall go on holding."""
+        """Return what its registers hold so that it keeps holding when commands cease."""
         return {}
 
     def release_frames(self, position: float) -> Sequence[CanFrame]:
-        """Frames by which it holds a position [rad] when nobody commands it any more."""
+        """Frames by which it holds a position [rad] when commands cease."""
         return self.goal(position)
 
     def slow_poll(self) -> Sequence[CanFrame]:

@@ -165,7 +165,7 @@ class MotorControl:
             if not limp and self._settings.when_lost == "hold":
                 self._hold_for_good()
         except (ConnectionFailedError, ConnectionLostError) as error:
-            return f"the motors could not be told to stop ({error.message}): {self.left_alone()}"
+            return f"the command to stop could not be sent to the motors ({error.message}): {self.left_alone()}"
         if limp and (driving := [m.name for k, m in enumerate(self._motors) if k in heard and heard[k].enabled]):
             return f"{', '.join(driving)} still drives after it was switched off {STOP_SENDINGS} times: cut its power"
         if rest:
@@ -181,7 +181,7 @@ class MotorControl:
                     self._bus.send([frame for codec in self._bus.codecs for frame in codec.disable()])
 
     def left_alone(self) -> str:
-        """Return what the motors do where nobody commands them any more, in words."""
+        """Return what the motors do when commands cease, in words."""
         if self._settings.when_lost == "hold":
             return "each holds its last goal with torque on"
         if self._settings.family == "moteus":

@@ -34,7 +34,7 @@ def padded(data: bytes) -> bytes:
 
 
 def subframe(kind: int, form: int, first: int, values: Sequence[float] = (), count: int = 0) -> bytes:
-    """A subframe of registers from `first` on: so many are read, or values written or told."""
+    """A subframe of registers from `first` on: so many are read, or values written or answered."""
     count = len(values) or count
     head = bytes([kind | form | count]) if count < 4 else bytes([kind | form, count])
     packed: bytes = struct.pack(f"<{len(values)}{TYPES[form >> 2]}", *values)

@@ -29,7 +29,7 @@ class OdriveCodec(MotorCodec):
     roll_call_time = 0.2
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
-        """The same in any case; temperatures are those told last."""
+        """The same in any case; temperatures are the last reported ones."""
         return ("position", "velocity", "torque", "temperature", "drive_temperature")
 
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:

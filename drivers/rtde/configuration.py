@@ -1,7 +1,7 @@
 """A controller's own joint limits and the arm's lengths, from its secondary interface (port 30002).
 
-Neither RTDE nor the dashboard tells them. The secondary interface sends ten packages of its state per second to whoever
-connects; one part of each, Configuration Data, has them (Universal Robots, "Client Interfaces": package 16, part 6; the
+Neither RTDE nor the dashboard has them. The secondary interface sends ten packages of its state per second to each
+client; one part of them, Configuration Data, has them (Universal Robots, "Client Interfaces": package 16, part 6; the
 layout is that of Universal Robots' own client library).
 """
 

@@ -109,7 +109,7 @@ class ServoControl:
         """Send goals (n,) [rad]; the nearest steps are what is noted as sent.
 
         Raises:
-            DriverStateError: a position that the servo cannot be told.
+            DriverStateError: a position that the servo cannot be commanded.
         """
         counts = {}
         for motor, position in zip(self._motors, target.tolist(), strict=True):
@@ -170,7 +170,7 @@ class ServoControl:
             self._release_watchdog()
         except (ConnectionFailedError, ConnectionLostError, DriverStateError) as error:
             left = "limp where its torque is off" if led else "each holds its last goal with torque on"
-            return f"the servos could not be told to stop ({error.message}): {left}"
+            return f"the command to stop could not be sent to the servos ({error.message}): {left}"
         if watch.at_rest:
             return ""
         return not_at_rest([called(motor) for motor in self._motors if motor.id not in heard], limp=limp)

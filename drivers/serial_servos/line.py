@@ -81,7 +81,7 @@ class ServoLine:
                 port.close()
 
     def send(self, request: bytes) -> None:
-        """Send what nobody answers."""
+        """Send what is not answered."""
         self._write(request)
         if self.echo:
             self._read(len(request), self._clock.now() + self._wire_time(len(request)) + self.patience)

@@ -1,4 +1,4 @@
-"""Joints that rest most of the time, or move one way only: their friction cannot be told from what else is constant."""
+"""Joints that rest most of the time, or move one way only: their friction is confounded with other constants."""
 
 from __future__ import annotations
 

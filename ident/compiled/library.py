@@ -49,7 +49,7 @@ class Kernels:
 
 
 def address(array: np.ndarray[Any, Any]) -> int:
-    """Return where an array's data begin; whoever passes it on keeps the array."""
+    """Return where an array's data begin; the caller keeps the array."""
     return int(array.ctypes.data)
 
 

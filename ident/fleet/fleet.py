@@ -68,7 +68,7 @@ def _submitter(workers: int, scheduler: str) -> Iterator[Submit]:
 
 
 def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
-    """Run a job in a process of its own, which gives its memory back and takes nobody with it when it dies."""
+    """Run a job in a process of its own, which frees its memory and ends no other job when it dies."""
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(sending, job, out))  # it starts processes itself
     with started_without_main():

@@ -66,7 +66,7 @@ class HistoryEntry:
 
 
 def read_entry(content: Mapping[str, Any], path: Path, recorded: datetime | None = None) -> HistoryEntry:
-    """What to keep of the object of a result.json, whose path is for messages; recorded when it says, or as told.
+    """What to keep of the object of a result.json, whose path is for messages; recorded when it says, or as given.
 
     Raises:
         ResultFileError: no result, one without times or with impossible ones, one of several arms, or without values.

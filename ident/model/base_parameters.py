@@ -1,7 +1,7 @@
 """Base parameters: the fewest combinations of standard parameters that fix the torque (SR400 .3.2; Gautier 1991).
 
 They are found numerically from random states inside the joint limits, never from a recording: what an arm can reveal
-does not depend on what somebody happened to record. Columns are kept greedily in a fixed order of preference that
+does not depend on the recording. Columns are kept greedily in a fixed order of preference that
 follows Khalil's regrouping rules (keep XX XY XZ YZ ZZ MX MY, regroup YY MZ M towards the base), so that the choice is
 stable and reads like the papers' tables.
 

@@ -122,7 +122,7 @@ def first_fit(
     centres = np.where(every_free & ~np.tile(free, (many, 1)), to_search(begun), np.tile(centre, (many, 1)))
     begun = search(wide, begun, np.concatenate(searched), np.tile(scale, many), centres, 8, EVERY_ERROR)
     costs = joint_cost(evaluate(wide, begun)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
-    # a profile and a drive's limit are told apart by searches to their ends
+    # a profile and a drive's limit are distinguished by searches to their ends
     ended, rows = [], np.arange(len(values))
     for part in (slice(0, len(ACCELERATIONS)), slice(len(ACCELERATIONS), many)):
         cheapest = (part.start + _of_one_kind(costs[part], moving)) * len(values) + rows

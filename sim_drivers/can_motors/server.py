@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 ANSWERING = 50e-6
 """[s] that a motor takes for its answer: an assumption."""
 IDLE = 0.005
-"""[s] between two advances of an arm that nobody asks."""
+"""[s] between two advances of an arm that is not asked."""
 REMEMBERED = 256
 """Own frames by which those are known that a bus returns to their sender."""
 

@@ -41,7 +41,7 @@ class Bench:
     truth: Callable[[], Mapping[str, FloatArray]]
     # quantity → how far a sample may be from the truth
     tolerances: Mapping[str, float] = field(default_factory=lambda: TOLERANCES)
-    # quantities that the device reports as they are while nobody has control of it; drives that are not enabled draw no
+    # quantities that the device reports as they are while it is not controlled; drives that are not enabled draw no
     # current, whatever the arm weighs
     idle: tuple[str, ...] = tuple(TOLERANCES)
     lose: str = "drop 3"  # typed fault that loses a few samples

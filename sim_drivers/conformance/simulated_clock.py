@@ -147,7 +147,7 @@ class SimulatedClock(Clock):
             nonlocal ready
             try:
                 ready = select.select(readers, writers, (), 0.0)
-            except (OSError, ValueError):  # closed meanwhile: whoever asked shall meet it
+            except (OSError, ValueError):  # closed meanwhile: the error surfaces on the next read
                 ready = (list(readers), [], [])
             return bool(ready[0] or ready[1])
 

@@ -74,7 +74,7 @@ class SimulatedServo:
         return entry.decoded(bytes(self._memory[entry.address : entry.address + entry.size]))
 
     def put(self, name: str, counts: int) -> None:
-        """Set a register, whoever may write it; counts beyond its bounds become its bounds."""
+        """Set a register, also a read-only one; counts beyond its bounds become its bounds."""
         entry = self.table.registers[name]
         least, most = entry.bounds
         data = entry.encoded(min(max(counts, least), most))
@@ -137,7 +137,7 @@ class SimulatedServo:
         self.put("torque_enable", 0)
 
     def watch(self, now: float) -> None:
-        """Let the bus watchdog fire where nobody has spoken for its time."""
+        """Let the bus watchdog fire where the bus was silent for its time."""
         if not self.holds("bus_watchdog") or not self.get("torque_enable"):
             return
         entry = self.table.registers["bus_watchdog"]

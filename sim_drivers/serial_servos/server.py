@@ -44,7 +44,7 @@ from sim_drivers.server import FaultyServer, stated_keys, with_troubles
 REBOOT = 0x08
 """Instruction of the Dynamixel protocol."""
 IDLE = 0.02
-"""[s] between two advances of an arm that nobody asks."""
+"""[s] between two advances of an arm that is not asked."""
 VOLTAGE, HEAT = 0, 2
 """Bits of a servo's status, in both protocols."""
 UNHEARD = 0.003
@@ -170,7 +170,7 @@ class SerialServoServer(FaultyServer):
         if not readable:
             return b""
         data = self._read()
-        if not data:  # nobody has the port open
+        if not data:  # no client has the port open
             self._stopping.wait(UNHEARD)
         return data
 
@@ -333,13 +333,13 @@ class SerialServoServer(FaultyServer):
     def _read(self) -> bytes:
         try:
             return os.read(self._line.fileno(), CHUNK)
-        except OSError:  # nobody has the port open, or nothing is there after all
+        except OSError:  # no client has the port open, or nothing is there after all
             return b""
 
     def _write(self, data: bytes) -> None:
         try:
             os.write(self._line.fileno(), data)
-        except OSError:  # nobody reads
+        except OSError:  # no reader
             return
 
 

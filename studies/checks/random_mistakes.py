@@ -397,7 +397,7 @@ def outcome(mistake: Mistake, run: Recording, robot_file: RobotFile) -> tuple[st
 
 
 def campaign(arms: Iterable[tuple[str, int, RobotFile, Recording]]) -> dict[str, list[str]]:
-    """Of each mistake, what was said on each arm."""
+    """Return what was said of each mistake on each arm."""
     rows: dict[str, list[str]] = {}
     for label, seed, robot_file, run in arms:
         model = build_model(robot_file)

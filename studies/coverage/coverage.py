@@ -121,7 +121,7 @@ def deviations(robot: str, method: str, play: Play, seed: int) -> tuple[list[Flo
 
 
 def shares(robot: str, seeds: int, method: str, play: Play) -> list[float]:
-    """Of one arm: the shares [%] of `COLUMNS` inside, and the median ratio `wide`."""
+    """Return for one arm the shares [%] of `COLUMNS` inside, and the median ratio `wide`."""
     found = list(of_cases(deviations, [(robot, method, play, seed) for seed in range(seeds)]))
     columns = zip(*(figures for figures, _ in found), strict=True)
     inside = [100.0 * float(np.mean(np.abs(np.concatenate(column)) <= WITHIN_95_PERCENT)) for column in columns]

@@ -67,7 +67,7 @@ def errors_of(found: Identification) -> list[tuple[str, str, float, float]]:
 
 
 def of_seed(name: str, methods: Sequence[str], seed: int) -> dict[str, tuple[bool, list[tuple[str, float]]]]:
-    """For each method whether there are further friction terms, and kind and |error| over σ of the base parameters."""
+    """By method whether there are further friction terms, and kind and |error| over σ of the base parameters."""
     recordings = [played(load_robot(name), part, seed) for part in PERIODS]
     print(f"# {name}, seed {seed}", file=sys.stderr, flush=True)
     models = {method: identify(recordings[:1], recordings[1:], IdentifyChoices(method)) for method in methods}

@@ -96,7 +96,7 @@ def noisy(exact: JointSignals, seed: int) -> JointSignals:
 
 
 def exact_signals(robot_file: RobotFile) -> JointSignals:
-    """Of the arm with perfect sensors."""
+    """Signals of the arm with perfect sensors."""
     motion = random_fourier_motion(build_model(robot_file), PERIOD, seed=1)
     recording = simulate_recording(with_perfect_sensors(robot_file), motion, DURATION, seed=0)
     return read_joint_signals(recording, robot_file.robot)
@@ -113,7 +113,7 @@ def with_perfect_sensors(robot_file: RobotFile) -> RobotFile:
 
 
 def controlled_signals(robot_file: RobotFile) -> JointSignals:
-    """Of the arm under a controller, with perfect sensors, and the controller's targets."""
+    """Signals of the arm under a controller, with perfect sensors, and the controller's targets."""
     perfect = with_perfect_sensors(robot_file)
     once = random_fourier_motion(build_model(robot_file), PERIOD, seed=1)
     periods = round(DURATION / PERIOD)

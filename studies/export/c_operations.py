@@ -27,7 +27,7 @@ def counts(model: DynamicModel, base: BaseParameters) -> dict[str, str]:
 
 
 def text(graph: Graph, function: Function) -> str:
-    """Of one function."""
+    """Return the counts of multiplications, additions and sines of one function."""
     operations = graph.operations(function.outputs)
     return f"{operations.multiplications}/{operations.additions}/{operations.sines}"
 

@@ -86,7 +86,7 @@ def warming(robot_file: RobotFile, motions: list[PointToPoint], seed: int) -> li
 
 
 def true_values(robot_file: RobotFile, name: str) -> dict[str, float]:
-    """Of a joint, by the names of the result."""
+    """True values of a joint, by the names of the result."""
     joint = robot_file.robot.truth.joints[name]
     return {
         "coulomb": joint.coulomb,

@@ -36,7 +36,7 @@ class ShapeCost:
 
     @classmethod
     def of(cls, fixed: FloatArray, torque: FloatArray, columns: Columns) -> ShapeCost:
-        """Of fixed columns (N, b), a torque (N,), and columns that depend on the shapes."""
+        """Make the problem of fixed columns (N, b), a torque (N,), and columns that depend on the shapes."""
         basis = np.linalg.qr(fixed)[0]
         return cls(basis, torque - basis @ (basis.T @ torque), columns)
 

@@ -27,7 +27,7 @@ WORDS = tuple(option.word for option in OPTIONS if option.kinds[0] in POSITION_K
 
 
 def identified(runs: list[Recording], other: Recording, friction: str) -> Identification:
-    """With this text of `--friction`; without the simulation behind the estimate's errors."""
+    """Identify with this text of `--friction`, without the simulation behind the estimate's errors."""
     choices = IdentifyChoices(model=ModelChoices(friction=friction), search_delay=False)
     return identify(runs, [other], choices)
 

@@ -63,7 +63,7 @@ def case(kind: str, seed: int) -> tuple[Case, FloatArray]:
 
 
 def violation(given: Case, torque: FloatArray) -> float:
-    """Of the law."""
+    """Violation of the law of dry friction."""
     matrix, free, limit, _ = given
     velocity = free - matrix @ torque
     forbidden = np.where(np.abs(torque) == limit, np.maximum(0.0, -velocity * np.sign(torque)), np.abs(velocity)) / (
@@ -73,7 +73,7 @@ def violation(given: Case, torque: FloatArray) -> float:
 
 
 def difference(given: Case, torque: FloatArray, other: FloatArray) -> float:
-    """Of the velocities, which are unique, as a share of |u_free| + |W|·f."""
+    """Difference of the velocities, which are unique, as a share of |u_free| + |W|·f."""
     matrix, free, limit, _ = given
     return float(np.max(np.abs(matrix @ (torque - other)) / (np.abs(free) + np.abs(matrix) @ limit)))
 

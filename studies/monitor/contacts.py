@@ -166,7 +166,7 @@ def main() -> None:
 
 
 def stated_forces(model: Model, runs: list[JointSamples], thresholds: Thresholds) -> None:
-    """From which multiple of the stated force on pushes are found: residuals are linear in the force."""
+    """Smallest multiple of the stated force at which pushes are found: residuals are linear in the force."""
     generator = np.random.default_rng(2)
     found: list[tuple[int, float]] = []
     for samples in runs:

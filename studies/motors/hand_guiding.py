@@ -63,7 +63,7 @@ class Nobody:
         return True
 
     def held(self) -> bool:
-        """For so many seconds."""
+        """Return whether the key is held, which it is for so many seconds."""
         self._begun = self._clock.now() if self._begun < 0.0 else self._begun
         return self._clock.now() - self._begun < self._seconds
 

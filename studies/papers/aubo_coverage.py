@@ -81,7 +81,7 @@ def held_out(stribeck: float) -> Recording:
 
 
 def correlation(errors: list[Errors], first: str, second: str) -> float:
-    """Of two kinds' errors over the seeds, the joint's whose is the largest."""
+    """Correlation of two kinds' errors over the seeds, the joint's whose is the largest."""
     values = []
     for joint in range(6):
         both = [
@@ -95,7 +95,7 @@ def correlation(errors: list[Errors], first: str, second: str) -> float:
 
 
 def shares(errors: list[Errors]) -> FloatArray:
-    """Of the kinds of `SHOWN` and of the bodies: share inside, and the median σ."""
+    """Share inside and median σ of the kinds of `SHOWN` and of the bodies."""
     rows = []
     for kind in (*SHOWN, "bodies"):
         of_kind = np.array([value for one in errors for (name, _), value in one.items() if name == kind])

@@ -60,7 +60,7 @@ def aubo(stribeck: float = STRIBECK) -> RobotFile:
 
 
 def temperatures(share: float) -> FloatArray:
-    """Of the housings [°C], this share of the session after its beginning."""
+    """Temperatures of the housings [°C], this share of the session after its beginning."""
     risen = (1.0 - np.exp(-share / TIME_CONSTANT)) / (1.0 - np.exp(-1.0 / TIME_CONSTANT))
     return np.asarray(COLD + risen * (WARM - COLD))
 

@@ -120,7 +120,7 @@ class Problem:
 
     @classmethod
     def of(cls, motion: SteppedMotion) -> Problem:
-        """From the closed loop."""
+        """Make the problem from data of the closed loop."""
         q, v, a, torque = identification_data(motion)
         rows = regressor(MODEL, q, v, a, BASE.columns)
         gram = GramAccumulator(BASE.count + 1)

@@ -142,7 +142,7 @@ class _Shell:
         return done.stdout
 
     def at_the_prompt(self, lines: Sequence[str]) -> None:
-        """As `python -i` would show it: values, and the last line of an error."""
+        """Return what `python -i` would show: values, and the last line of an error."""
         program = (
             "import sys, time, traceback\n"
             "for line in sys.argv[1:]:\n"

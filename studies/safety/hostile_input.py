@@ -1,4 +1,4 @@
-"""Of each class of hostile input, the worst that is known, its time and memory (docs/measurements/safety.md).
+"""Time and memory of the worst known input of each hostile class (docs/measurements/safety.md).
 
     python -m studies.safety.hostile_input [SOAK.json …]
 

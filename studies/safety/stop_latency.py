@@ -1,4 +1,4 @@
-"""In real time: CPU per command of the gate, and from a sample beyond its limit to the stop at the arm.
+"""CPU per command of the gate, and the time, in real time, from a sample beyond its limit to the stop at the arm.
 
 python -m studies.safety.stop_latency
 """
@@ -122,7 +122,7 @@ class Moment(Clock):
 
 
 def main() -> None:
-    """In real time: CPU of a command, and from a sample beyond its limit to the stop at the other end of a socket."""
+    """Measure CPU of a command, and real time from a sample beyond its limit to the stop at the far end of a socket."""
     LISTENER.bind(("127.0.0.1", 0))
     LISTENER.listen()
     robot_file = load_robot("ur5e")

@@ -87,7 +87,7 @@ def controlled(robot_file: RobotFile, period: float, seed: int, early: bool) -> 
 
 
 def true_error(search: Identification, seed: int) -> float:
-    """Of predicted against true torque on another motion [%]."""
+    """Error of predicted against true torque on another motion [%]."""
     model = build_model(search.robot_file)
     motion = random_fourier_motion(model, PERIOD, OTHER + seed).evaluate(np.linspace(0.0, PERIOD, 2000))
     true = model_torque(model, None, truth_vector(search.robot_file), *motion)

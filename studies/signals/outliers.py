@@ -83,7 +83,7 @@ def spoilt(recording: Recording, quantities: tuple[str, ...], change: Change, se
 
 
 def as_recorded(_: FloatArray, values: FloatArray) -> CleanSignal:
-    """In place of `without_outliers`: nothing is replaced."""
+    """Replace nothing, in place of `without_outliers`."""
     none = np.zeros(values.shape[1], dtype=np.int64)
     return CleanSignal(values, none, none)
 

@@ -104,7 +104,7 @@ def spoilt(recording: Recording, fault: Fault, seed: int) -> Recording:
 
 
 def recordings(robot: str, seed: int) -> tuple[Recording, Recording]:
-    """To identify from, and held out."""
+    """Recordings to identify from, and held out."""
     arm = load_robot(robot)
     model = build_model(arm)
     first, other = (random_fourier_motion(model, PERIOD, seed=seed + extra, candidates=10) for extra in (0, 500))
@@ -112,7 +112,7 @@ def recordings(robot: str, seed: int) -> tuple[Recording, Recording]:
 
 
 def identified(recording: Recording, held_out: Recording, method: str) -> Identification:
-    """With a known delay of 0 and the arm's own friction, so that only the estimators differ."""
+    """Identify with a known delay of 0 and the arm's own friction, so that only the estimators differ."""
     choices = IdentifyChoices(method, model=ModelChoices(friction="coulomb-viscous"), search_delay=False)
     return identify([recording], [held_out], choices)
 

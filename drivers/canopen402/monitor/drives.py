@@ -116,7 +116,7 @@ class DriveWatch:
         self._report(arrived, level, f"{self._joints[index]}: {emergency}")
 
     def on_other_master(self, identifier: int, _data: bytearray, arrived: float) -> None:
-        """Take another master's heartbeat, which appeared after this driver was opened; told once."""
+        """Take another master's heartbeat, which appeared after this driver was opened; reported once."""
         if not self._other_master:
             self._other_master = True
             node = identifier - objects.HEARTBEAT

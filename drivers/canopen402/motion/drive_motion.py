@@ -181,7 +181,7 @@ class DriveMotion:
                 self._phase = "stopping"
         wanted = self._path.at(moment, 0 if self._mode == MODE_PROFILE_POSITION else left_out)
         if self._phase == "moving" and self._mode != MODE_PROFILE_POSITION and self._path.run_out:
-            self._phase = "stopping"  # along their ramp; whoever commands them knows why
+            self._phase = "stopping"  # along their ramp; the caller knows why
         if self._phase == "led" and self._clock.now() - self._pushed[0] > PUSH_LIMIT:
             self.ended_by, self._phase = f"no torque was commanded for {PUSH_LIMIT:g} s", "stopping"
         targets = [self._output(index, wanted[index]) for index in range(len(self._ids))]
