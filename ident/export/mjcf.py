@@ -25,7 +25,7 @@ TIME_STEP = 0.001
 STIFFEST = {"solref": "0.002 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
 """How hard loops are closed and joints stick: MuJoCo's constraints are springs and dampers. The stiffest that the time
 step allows, and an impedance that leaves 1e-4 of the acceleration to them. By MuJoCo's defaults a joint that sticks
-creeps, the faster the lower its inertia: a real SO-101's elbow ended where it would without friction."""
+creeps, the faster the lower its inertia."""
 
 SECOND_POINT = 0.1
 """[m] along the axis of an opened joint at which a second point holds the axes parallel, where one does not do."""

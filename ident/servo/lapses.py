@@ -60,7 +60,7 @@ def _rests(name: str, time: FloatArray, position: FloatArray, command: FloatArra
         if way > FAR:
             yield (
                 f"the position of {name} does not change from {since:.1f} to {until:.1f} s while its target "
-                f"moves by {way:.2g}: its encoder, a stop, or a drive that is off"
+                f"moves by {way:.2g}: its encoder, a stop, or a drive that is off or at its limit"
             )
 
 
@@ -96,12 +96,11 @@ def _drift(motion: CommandedMotion) -> Iterator[str]:
         if np.count_nonzero(inside) < 10:
             continue
         position = motion.position[inside] - motion.position[inside].mean(axis=0)
-        for place in range(len(shifts)):
-            asked = motion.held(motion.time[inside] - shifts[place])
-            asked = asked - asked.mean(axis=0)
-            power = np.maximum(np.sum(asked**2, axis=0), 1e-12)
-            slope = np.clip(np.sum(asked * position, axis=0) / power, 0.0, None)
-            left[window, place] = np.sum((position - slope * asked) ** 2)
+        asked = motion.held((motion.time[inside] - shifts[:, None]).ravel()).reshape(len(shifts), *position.shape)
+        asked -= asked.mean(axis=1, keepdims=True)
+        power = np.maximum(np.einsum("sij,sij->sj", asked, asked), 1e-12)
+        slope = np.clip(np.einsum("sij,ij->sj", asked, position) / power, 0.0, None)
+        left[window] = np.sum((position - slope[:, None] * asked) ** 2, axis=(1, 2))
     middles = (np.arange(count) + 0.5) / count - 0.5
     steps = np.arange(-most, most + 1)
     places = np.arange(len(shifts))

@@ -77,19 +77,20 @@ class Lanes:
         return replace(self.of(slice(pieces.start * joints, pieces.stop * joints)), between=between)
 
     def of(self, chosen: IndexArray | slice) -> Lanes:
-        """Some of the lanes, on their own."""
+        """Some of the lanes, on their own, row after row in memory: a roll-out would copy columns at each call."""
+        rows = np.arange(len(self.joint))[chosen]
         return Lanes(
             self.step,
-            self.joint[chosen],
-            self.piece[chosen],
-            self.command[:, chosen],
+            self.joint[rows],
+            self.piece[rows],
+            self.command.take(rows, axis=1),
             self.history,
-            self.start[chosen],
-            self.inertia[:, chosen],
-            self.load[:, chosen],
-            self.load_slope[:, chosen],
-            self.sample[:, chosen],
-            self.measured[:, chosen],
+            self.start[rows],
+            self.inertia.take(rows, axis=1),
+            self.load.take(rows, axis=1),
+            self.load_slope.take(rows, axis=1),
+            self.sample.take(rows, axis=1),
+            self.measured.take(rows, axis=1),
         )
 
 

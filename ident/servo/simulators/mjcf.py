@@ -82,7 +82,7 @@ def servo_mjcf(
         f"Servo model of {model.name}, identified with dynid; ctrl is the commanded position.",
         "Not in this file:",
         *(f"- {word}" for word in missing or ("nothing",)),
-        "A delay needs a MuJoCo whose actuators have one.",
+        "A delay needs a MuJoCo whose actuators have one; mj_initCtrlHistory, or it begins with controls of 0.",
     ]
     root.insert(0, ElementTree.Comment("\n" + comment_text(lines)))
     actuators = root.find("actuator")
@@ -170,7 +170,7 @@ def read_model_file(path: Path, joints: Sequence[str]) -> Any:
 
 def model_paths(model: Any, links: ServoLinks, motions: Sequence[ServoMotion]) -> list[FloatArray]:
     """Positions (N, n) of motions, as a MuJoCo model moves on their commands."""
-    return [_replayed(model, links, motion, motion.command[motion.history :]) for motion in motions]
+    return [_replayed(model, links, motion) for motion in motions]
 
 
 def _model_file(path: Path) -> Any:
@@ -218,7 +218,7 @@ def _position_actuator(model: Any, joint: str, where: str) -> int:
     raise UsageError(f"has no position actuator for {joint}", where=where, hint="its ctrl must be a position")
 
 
-def _replayed(model: Any, links: ServoLinks, motion: ServoMotion, command: FloatArray) -> FloatArray:
+def _replayed(model: Any, links: ServoLinks, motion: ServoMotion) -> FloatArray:
     """Positions (N, n) at the motion's samples."""
     import mujoco
 
@@ -229,15 +229,21 @@ def _replayed(model: Any, links: ServoLinks, motion: ServoMotion, command: Float
     data.qpos[order] = motion.position[0]
     step = float(model.opt.timestep)
     count = int(np.ceil(motion.time[-1] / step)) + 1
-    times = np.arange(count) * step
     # A command of the grid is the mean of the step before; a control holds for the step that follows.
-    middles = (np.arange(len(command)) - 0.5) * motion.step
-    controls = np.stack([np.interp(times + 0.5 * step, middles, column) for column in command.T], axis=1)
-    path = np.empty((count, len(order)))
-    data.ctrl[actuators] = controls[0]
-    mujoco.mj_forward(model, data)
+    middles = (np.arange(len(motion.command)) - motion.history - 0.5) * motion.step
+
+    def controls(first: int, end: int) -> FloatArray:
+        times = (np.arange(first, end) + 0.5) * step
+        return np.stack([np.interp(times, middles, column) for column in motion.command.T], axis=1)
+
+    for joint, actuator in enumerate(actuators):
+        # a delay would begin with controls of 0, which throws the arm
+        if hasattr(model, "actuator_history") and (delayed := int(model.actuator_history[actuator, 0])):
+            times, values = np.arange(-delayed, 0) * step, controls(-delayed, 0)[:, joint : joint + 1]
+            mujoco.mj_initCtrlHistory(model, data, actuator, times, values)
+    path, commanded = np.empty((count, len(order))), controls(0, count)
     for index in range(count):
         path[index] = data.qpos[order]
-        data.ctrl[actuators] = controls[index]
+        data.ctrl[actuators] = commanded[index]
         mujoco.mj_step(model, data)
-    return np.stack([np.interp(motion.time, times, column) for column in path.T], axis=1)
+    return np.stack([np.interp(motion.time, np.arange(count) * step, column) for column in path.T], axis=1)
