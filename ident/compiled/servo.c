@@ -266,7 +266,7 @@ static void by_terms(const struct servo *s, double h, double by_delay, const vec
     own[STRIBECK_VELOCITY] = drag * (p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded) * s->faded * 2 * s->share * s->share;
     own[TORQUE_LIMIT] = push * s->limited;
     own[DEAD_BAND] = -push * s->sided * p[DEAD_BAND];
-    own[BACKLASH] = every(0); /* by differences of roll-outs */
+    own[BACKLASH] = every(0); /* its width is never searched by slopes */
 }
 
 /* How the momentum changes with the velocity before the step, beyond the inertia: friction that fades. */

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Surface, away, find_contact, in_contact
-from ident.servo.first_fit import FIRST_GROUPS, LIKE, error_scale, first_fit, limited_by, regressed_values, savings
+from ident.servo.first_fit import FIRST_GROUPS, LIKE, begun_fit, error_scale, limited_by, regressed_values, savings
 from ident.servo.links import ServoLinks
 from ident.servo.motion import (
     PIECE,
@@ -38,10 +38,6 @@ whole motions, and a piece begins at the measured position, which hides where fr
 LATE_GAIN, ZERO_GAIN = 0.05, 0.25
 """The same of a limit or a dead band, and of a zero, or of a profile beside a drive's limit: an offset makes up for
 some of what any joint's friction lacks, at other torques and for these motions only; a slow profile, for a limit."""
-
-CONTRADICTED = 0.5
-"""Share of the cost of held-out pieces that is left without what was declared, below which it is not believed (0.46 at
-45 rad/s² where 39 were declared, 0.1 without a profile; 0.8 to 0.95 on a real SO-101, where the profile is set)."""
 
 LITTLE, FADING = 0.02, 0.1
 """Starts of load_breakaway and of the Stribeck velocity [rad/s]."""
@@ -133,11 +129,7 @@ def fit_servo(
     weighted = links.weighted(np.concatenate([motion.position for motion in motions]).T)
     chosen, judged = halves(away(lanes, tool[1]), PIECES)
     progress("first fit")
-    begun = [
-        _begun(chosen, judged, values, free, centre, moving, held, least, known)
-        for known in ({}, declared)[: 1 + bool(declared)]
-    ]
-    values, free, centre, held, gains = begun[_believed(judged, [each[0] for each in begun], least)]
+    values, free, centre, held, gains = begun_fit(chosen, judged, values, free, centre, moving, held, least, declared)
     free |= late
     heavy = np.isin(np.arange(joints), weighted)
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
@@ -168,34 +160,6 @@ def fit_servo(
     left = np.array([np.nanmedian(errors[:, pieces.joint == joint]) for joint in range(joints)])
     known = (values, low, high, free, seen, held, assumed, moving, covariance)
     return ServoFit(*known, tuple(gains), count, left, contact)
-
-
-def _begun(
-    chosen: Lanes,
-    judged: Lanes,
-    values: FloatArray,
-    free: BoolArray,
-    centre: FloatArray,
-    moving: BoolArray,
-    held: BoolArray,
-    least: float,
-    declared: Mapping[tuple[int, str], float],
-) -> tuple[FloatArray, BoolArray, FloatArray, BoolArray, list[dict[str, float]]]:
-    """Values, free terms, prior, held terms (n, terms) and savings of a first fit that holds what was declared."""
-    values, centre, held = values.copy(), centre.copy(), held.copy()
-    gains: list[dict[str, float]] = [{} for _ in held]
-    for (joint, name), value in declared.items():
-        values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
-    rows = np.flatnonzero(moving)
-    values, free = first_fit(chosen, judged, values, free & ~held, centre, rows, held, least, gains)
-    return values, free, centre, held, gains
-
-
-def _believed(judged: Lanes, values: Sequence[FloatArray], least: float) -> int:
-    """The last of values (n, terms), which is what was declared, unless pieces that were not fitted contradict it."""
-    scale = error_scale(judged, values[0], least)
-    costs = [float(joint_cost(evaluate(judged, own)[0], judged, scale, EVERY_ERROR).sum()) for own in values]
-    return 0 if costs[0] < CONTRADICTED * costs[-1] else len(costs) - 1
 
 
 def _free_torques(state: _State, lanes: Lanes, moving: BoolArray, inertia: FloatArray, least: float) -> None:

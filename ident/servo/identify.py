@@ -141,7 +141,7 @@ def identify_servo(
     validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
     doubts = _doubts([*recordings, *held_out], file)
     doubts += unexplained(robot.joint_names, np.where(fitted.moving, fitted.left / steps, 0.0))
-    wrong = [joint for joint, name in declared.keys() - known.keys() if not fitted.held[joint, INDEX[name]]]
+    wrong = [joint for joint, name in declared if not fitted.held[joint, INDEX[name]]]
     if np.any(fitted.moving[wrong]):
         limit = next(iter(declared.values()))
         doubts.append(

@@ -21,12 +21,9 @@ from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import UsageError
 from ident.compiled.library import Call, kernels
 from ident.servo.rollout.goals import Goals, goals_of
-from ident.servo.rollout.lanes import THINNED, Lanes, RollOut, at_samples
+from ident.servo.rollout.lanes import THINNED, Lanes, RollOut
 from ident.servo.rollout.numpy_rollout import Together, roll_out_numpy
 from ident.servo.terms import INDEX, TERMS
-
-BACKLASH, BACKLASH_SPAN = INDEX["backlash"], 0.1
-"""The term's index, and half of the difference that gives derivatives by the logarithm of a backlash."""
 
 
 def roll_out(
@@ -51,27 +48,11 @@ def roll_out(
     delay, steepest = values[INDEX["delay"]], values[INDEX["acceleration_limit"]]
     goals = goals_of(lanes, delay, steepest, {TERMS[term].name for term in terms})
     together, library = Together(lanes, surface), kernels().long
-    if library is None and values[BACKLASH].any():
+    if library is None and values[INDEX["backlash"]].any():
         raise UsageError("backlash in a servo model needs a C compiler, and there is none", hint="install gcc or clang")
     if library is None:
         return roll_out_numpy(lanes, values, (terms, owners), goals, together)
-    rolled = _compiled(library, lanes, values, (terms, owners), goals, together)
-    for column in np.flatnonzero(terms == BACKLASH):
-        rolled.slopes[..., column] = _by_backlash(library, lanes, values, int(owners[column]), goals, together)
-    return rolled
-
-
-def _by_backlash(
-    library: Any, lanes: Lanes, values: FloatArray, owner: int, goals: Goals, together: Together
-) -> FloatArray:
-    """Derivatives (P, S, n) of the path by the logarithm of the backlash of one joint of each piece: a difference."""
-    paths, none = [], np.zeros(0, dtype=np.intp)
-    for sign in (1.0, -1.0):
-        wide = values.copy()
-        wide[BACKLASH, owner :: together.joints] *= np.exp(sign * BACKLASH_SPAN)
-        paths.append(at_samples(lanes, _compiled(library, lanes, wide, (none, none), goals, together).path))
-    slopes = (paths[0] - paths[1]) / (2.0 * BACKLASH_SPAN)
-    return np.asarray(slopes.reshape(len(slopes), -1, together.joints).swapaxes(0, 1), dtype=np.float64)
+    return _compiled(library, lanes, values, (terms, owners), goals, together)
 
 
 def with_pull(lanes: Lanes, values: FloatArray) -> Lanes:

@@ -11,7 +11,7 @@ from each import each
 from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
 from ident.servo import search
-from ident.servo.fit import _believed
+from ident.servo.first_fit import believed
 from ident.servo.motion import servo_motions
 from ident.servo.rollout import goals, rollout
 from ident.servo.rollout.goals import goals_of, profile_goals
@@ -186,9 +186,9 @@ def test_what_was_declared_is_believed_until_the_data_clearly_contradict():
     nearly, wrong = values.copy(), values.copy()
     nearly[:, INDEX["stiffness"]] *= 1.001
     wrong[:, INDEX["stiffness"]] *= 1.5
-    assert _believed(moved, [values, nearly], 1e-3) == 1
-    assert _believed(moved, [values, wrong], 1e-3) == 0
-    assert _believed(moved, [values], 1e-3) == 0
+    assert believed(moved, [values, nearly], 1e-3) == 1
+    assert believed(moved, [values, wrong], 1e-3) == 0
+    assert believed(moved, [values], 1e-3) == 0
 
 
 def test_a_joint_sticks_where_its_friction_holds_it():

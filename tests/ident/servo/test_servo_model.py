@@ -13,11 +13,13 @@ import pytest
 import dynid
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
 from daq.robot.loader import load_robot
+from ident.compiled.library import kernels
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
 from ident.servo.identify import _doubts, unexplained
-from ident.servo.simulators.actuator_law import shaped_commands
-from ident.servo.simulators.mjcf import played_paths, servo_mjcf
+from ident.servo.result import ServoParameter
+from ident.servo.simulators.actuator_law import left_out, shaped_commands
+from ident.servo.simulators.mjcf import MISSING, played_paths, servo_mjcf
 from ident.servo.terms import INDEX
 
 WEIGHTED = ("shoulder_lift", "elbow_flex", "wrist_flex")
@@ -269,6 +271,22 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
         assert words in error, (name, error)
         assert error.count("\n") <= 1, (name, error)
         assert not out.exists(), name
+
+
+def test_declared_backlash_is_in_the_roll_out_and_named_where_a_file_cannot_express_it(model, other, tmp_path):
+    if kernels().long is None:
+        pytest.skip(kernels().said)
+    joints = list(model.result.servo)
+    play = ServoParameter(value=0.02, unit="rad", origin="given")
+    joints[4] = joints[4].model_copy(update={"parameters": {**joints[4].parameters, "backlash": play}})
+    loose = dynid.ServoModel(model.result.model_copy(update={"servo": joints}))
+    loose.save(tmp_path / "loose")
+    again = dynid.load_servo_model(tmp_path / "loose")
+    assert again.result == loose.result
+    paths = [each.roll_out(other)[0][1] for each in (again, model)]
+    assert 1e-3 < np.abs(paths[0] - paths[1])[:, 4].mean() < 0.02
+    assert "the backlash" in left_out(again.result.values, MISSING)
+    assert np.array_equal(again.predict(other).position, np.concatenate([path for _, path in again.roll_out(other)]))
 
 
 def test_errors_beyond_the_encoder_s_rounding_say_what_intervals_do_not_cover(model):
