@@ -9,7 +9,7 @@ WORKERS ?= 3
 REALTIME ?= 60
 SOAK ?= 600
 
-.PHONY: demo test coverage lint format bench realtime soak studies-check house docs wheel sbom clean
+.PHONY: demo test coverage lint format bench realtime soak studies-check house docs docs-check wheel sbom clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -47,6 +47,10 @@ realtime: $(INSTALLED)
 # case of tests/found, an example that is found an @example of its test.
 soak: $(INSTALLED)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/soak $(SOAK)
+
+# Minutes: commands of the docs that meet a running arm, on simulated ones (DOCS: words of commands).
+docs-check: $(INSTALLED)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/support/docs_check.py $(DOCS)
 
 # Hours: the commands of docs/measurements again, and which figures no longer agree (STUDIES: words of pages or commands).
 studies-check: $(INSTALLED)
