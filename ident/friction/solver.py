@@ -15,6 +15,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from drivers.core.errors import IdentificationError
 from ident.friction.table import SHAPED, SHAPES, Shape
 from ident.friction.terms import FrictionTerms
 
@@ -115,7 +116,7 @@ def settle_nested(
 
 
 def shape_step(problem: FrictionProblem[Fit], fit: Fit, lengths: int = SHORTENED_STEPS) -> tuple[Fit, float]:
-    """One Gauss-Newton step of the shapes, shortened until the fit is no worse; their largest relative change.
+    """One Gauss-Newton step of the shapes, shortened until a fit is there and no worse; their largest relative change.
 
     The fit before where the change is below `SHAPE_TOLERANCE`, and with no change where none of the lengths is better.
     """
@@ -125,7 +126,10 @@ def shape_step(problem: FrictionProblem[Fit], fit: Fit, lengths: int = SHORTENED
         change = shape_change(terms, moved)
         if change < SHAPE_TOLERANCE:
             return fit, change
-        candidate = problem.fitted(fit, moved)
+        try:
+            candidate = problem.fitted(fit, moved)
+        except IdentificationError:  # too far: with these shapes columns of the friction are alike
+            continue
         if problem.no_worse(candidate, fit) and (_brakes(problem, candidate) or not _brakes(problem, fit)):
             return candidate, change
     return fit, 0.0

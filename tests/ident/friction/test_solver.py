@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from each import each
 
+from drivers.core.errors import IdentificationError
 from ident.friction.solver import Value, settle, settle_nested, shape_step
 from ident.friction.table import Operands, signal_of
 from ident.friction.terms import FrictionTerms, no_terms
@@ -79,6 +80,20 @@ def test_shapes_are_found_from_a_distant_start(seed):
     step, change = shape_step(problem, first)
     assert step.misfit < first.misfit
     assert change > 0.0
+
+
+def test_a_step_to_shapes_that_have_no_solution_is_shortened():
+    class Refusing(OneMotor):
+        def fitted(self, fit: Solution, terms: FrictionTerms) -> Solution:
+            if terms.shape("exponent", 0) > 1.2:
+                raise IdentificationError("dependent columns")
+            return self.solve(terms)
+
+    problem = Refusing(3.0 * signal("coulomb", 1.0) + 2.0 * signal("viscous", 1.4))
+    first = problem.solve(no_terms(1).with_shape("exponent", 0, 1.0, free=True))
+    step, _ = shape_step(problem, first)
+    assert step.misfit < first.misfit
+    assert 1.0 < step.terms.shape("exponent", 0) <= 1.2
 
 
 def test_shapes_that_are_known_stay_as_they_are():
