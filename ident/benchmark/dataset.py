@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -79,7 +79,9 @@ class Dataset(_Section):
     source: Source
     files: dict[str, DataFile] = Field(min_length=1, description="by their paths in the mirror folder")
     robot: str | dict[str, Any] = Field(description="a built-in robot, or the content of a robot file")
-    reading: dict[str, Any] = Field(default_factory=dict, alias="import", description="options of `dynid import`")
+    reading: dict[str, Any] = Field(
+        default_factory=dict, alias="import", description="arguments of `dynid.import_recording`"
+    )
     units: dict[str, str] = Field(description="quantity → unit in the files")
     traps: list[str] = Field(default_factory=list, description="what goes wrong without notice, a sentence each")
     rate: Annotated[Positive, AfterValidator(within(SAMPLING_RATE))] = Field(
@@ -218,10 +220,12 @@ def load_dataset(dataset: Dataset, folder: Path) -> LoadedData:
         if hashlib.sha256((folder / name).read_bytes()).hexdigest() != file.sha256:
             raise DataError("is not the registered file: its SHA-256 differs", where=str(folder / name))
     robot = _robot(dataset, folder)
-    try:
-        choices = ImportChoices(**dataset.reading)
-    except TypeError as error:
-        raise UsageError(f"{dataset.name}: import: {error}") from error
+    options = [of.name for of in fields(ImportChoices)]
+    for name in dataset.reading:
+        if name not in options:
+            hint = did_you_mean(name, options) or f"it has {', '.join(options)}"
+            raise UsageError(f"{dataset.name}: import has no option '{name}'", hint=hint)
+    choices = ImportChoices(**dataset.reading)
     read = {use.file: _read(folder / use.file, robot, choices) for use in dataset.runs}
     parts = {
         role: tuple(part(read[use.file], use.start, use.stop) for use in dataset.runs if use.role == role)

@@ -114,7 +114,7 @@ def _entry(empty: Entry, judging: Future[Judged]) -> Entry | None:
         return replace(empty, failure=why_lost(error))
     except BrokenProcessPool:
         return replace(empty, failure="its process ended: out of memory, or a crash")
-    except Exception as error:  # whatever a third party's method raises is its result, not the end of the others'
+    except (Exception, SystemExit) as error:  # what a third party's method raises is its result, not the others' end
         return replace(empty, failure=f"{type(error).__name__}: {error}")
     if judged.score is None:
         return None

@@ -177,14 +177,15 @@ def test_the_method_of_the_docs_runs_from_the_current_folder(mirror, exact, monk
     text = (REPOSITORY / "docs" / "benchmark.md").read_text(encoding="utf-8")
     block = re.search(r"```python\n(.*?)```", text, re.DOTALL)
     assert block is not None
-    (tmp_path / "documented_method.py").write_text(block[1])
+    (tmp_path / "documented_method.py").write_text(f"{block[1]}\n\ndef leave(training):\n    raise SystemExit(0)\n")
     monkeypatch.chdir(tmp_path)
     # Threads in place of processes, which take seconds to start; what goes to them and comes back must be picklable.
     monkeypatch.setattr(run, "ProcessPoolExecutor", lambda workers, mp_context: ThreadPoolExecutor(workers))
-    result = run_benchmark([exact], chosen_methods(("documented_method:fit", "no_such_module:fit")), mirror)
-    entry, lost = pickle.loads(pickle.dumps(result.entries))
+    places = ("documented_method:leave", "documented_method:fit", "no_such_module:fit")
+    result = run_benchmark([exact], chosen_methods(places), mirror)
+    left, entry, lost = pickle.loads(pickle.dumps(result.entries))
     assert pickle.loads(pickle.dumps(exact)) == exact
-    assert entry.failure == ""
+    assert (left.failure, entry.failure) == ("SystemExit: 0", "")
     assert 5.0 < entry.error < 120.0
     assert entry.memory > 10.0
     assert "cannot be imported" in lost.failure
@@ -237,6 +238,8 @@ def test_what_does_not_fit_is_refused_in_words(mirror, exact, tmp_path):
         (tmp_path / name).write_bytes(b"another")
     with pytest.raises(DataError, match="SHA-256 differs"):
         load_dataset(exact, tmp_path)
+    with pytest.raises(UsageError, match=r"has no option 'column'.*columns"):
+        load_dataset(exact.model_copy(update={"reading": {"column": {}}}), mirror)
     with pytest.raises(UsageError, match="no data set is called"):
         chosen_datasets(["ur11"])
     with pytest.raises(UsageError, match="no method is called"):
