@@ -47,7 +47,7 @@ def started_without_main() -> Iterator[None]:
 
 @contextmanager
 def started_without_interrupt() -> Iterator[None]:
-    """As `started_without_main`, and Ctrl-C is blocked in the processes from the first instruction.
+    """Do what `started_without_main` does, and block Ctrl-C in the processes from the first instruction.
 
     Blocked, not ignored: this process gets a Ctrl-C of this moment a little later.
     """
