@@ -27,6 +27,7 @@ from ident.servo.links import servo_links
 from ident.servo.rollout.goals import profile_goals
 from ident.servo.simulators.actuator_law import FAITHFUL, actuator_law
 from ident.servo.simulators.isaaclab import PHYSICS_STEP, isaaclab_configuration, read_isaaclab
+from ident.servo.simulators.mjcf import played_paths, servo_mjcf
 from ident.servo.simulators.usd import read_usd, usd_installed
 from ident.servo.terms import INDEX
 from sim_drivers.synthetic.servo import record_servo, servo_commands
@@ -292,6 +293,15 @@ def test_a_joint_sticks_in_mujoco_while_its_drive_does_not_overcome_friction(mod
         mujoco.mj_step(arm, data, 1000)
         reached.append(abs(data.qpos[0]) / goal)
     assert reached[0] < 0.01 < 0.5 <= reached[1]
+
+
+def test_a_delay_begins_with_the_commands_before_it(model, run):
+    pytest.importorskip("mujoco")
+    motion, links = read_motions(run, model._robot)[0].between(0, 20), servo_links(model._robot)
+    assert model.result.values[0, INDEX["delay"]] > 0
+    resting = dataclasses.replace(motion, command=np.full_like(motion.command, 0.5), position=motion.position * 0 + 0.5)
+    path = played_paths(servo_mjcf(model._robot, links, model.result.values), links, [resting])[0]
+    np.testing.assert_allclose(path[:, 0], 0.5, atol=1e-3)  # gravity does not load it
 
 
 def test_ranges_of_a_type_are_wider_than_those_of_one_arm_and_unseen_parameters_stay(model):
