@@ -211,10 +211,13 @@ def most_likely(
     deviations = sorted(known or found, key=lambda one: _price(one) * total / max(1.0, independent) - one.likelihood)
     if not deviations:
         return []
-    shares = [
-        independent_share(residual_autocorrelation(_compared(runs, one))[list(refit.used)])
-        for one in (refit.as_believed(deviations[0].unknown), deviations[0])
-    ]
+    believed = _compared(runs, refit.as_believed(deviations[0].unknown))
+    while True:  # what explains the residuals to first order alone leaves larger ones
+        left = _compared(runs, deviations[0])
+        if len(deviations) == 1 or np.mean((_squares(left) / _squares(believed))[list(refit.used)]) <= 1.0:
+            break
+        deviations.pop(0)
+    shares = [independent_share(residual_autocorrelation(one)[list(refit.used)]) for one in (believed, left)]
     width = len(deviations[0].parameters)
     after = min(total, independent * shares[1] / shares[0])
     needed = INDEPENDENT_PER_PARAMETER * width
@@ -226,6 +229,12 @@ def most_likely(
     judged = [_judged(deviation, worth) for deviation in deviations]
     lasting = [one for one in judged if not reported(one) or refit.throughout(one)]
     return simplest_first(sorted(lasting, key=lambda one: -one.likelihood)) if lasting else []
+
+
+def _squares(series: Sequence[TorqueSeries]) -> FloatArray:
+    """Sums (n,) of the joints' squared residuals, none of them 0 [(N·m)²]."""
+    sums = sum((np.nansum(np.square(one.residual), axis=1) for one in series), start=np.array(0.0))
+    return np.asarray(np.maximum(sums, np.finfo(np.float64).tiny))
 
 
 def _price(deviation: Deviation) -> float:
