@@ -239,12 +239,12 @@ def _joint_torque(stream: Stream, robot: Robot, label: str, hint: str) -> tuple[
             hint=SERVO_HINT,
         )
     if recorded is None:
-        quantities = ", ".join(sorted(stream.channels)) or "nothing"
-        raise DataError(
-            f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {quantities}",
-            where=label,
-            hint=hint,
-        )
+        other, quantities = signal if signal != "torque" else "current", ", ".join(sorted(stream.channels)) or "nothing"
+        said = f"records neither torque nor {other}; it has {quantities}"
+        if other in stream.channels:
+            declared = " and ".join(sorted({drive.signal for drive in drives}))
+            said = f"records {other} alone, but the signal of the robot file's drives is {declared}"
+        raise DataError(said, where=label, hint=hint)
     used = tuple(drive.joint for drive in drives if drive.signal == "torque" and drive.gain)
     gains = np.array([drive.gain if drive.joint in used else 1.0 for drive in drives], dtype=np.float64)
     if robot.model.coupling:

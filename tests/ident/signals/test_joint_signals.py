@@ -33,6 +33,7 @@ def robot(*drives: str) -> RobotFile:
     return parse_robot(text, where="two", folder=None)
 
 
+TORQUE = "{joint: %s, signal: torque}"
 GAINS = ("{joint: a, gain: 10}", "{joint: b, gain: -4}")
 
 
@@ -107,6 +108,10 @@ def test_recordings_without_what_is_needed_are_refused():
         read_joint_signals(recording(current=CURRENT), arm)
     with pytest.raises(DataError, match=r"neither torque nor current.*position, velocity"):
         read_joint_signals(recording(position=POSITION, velocity=POSITION), arm)
+    with pytest.raises(DataError, match="records current alone, but the signal of the robot file's drives is torque"):
+        read_joint_signals(
+            recording(position=POSITION, current=CURRENT), robot(*(TORQUE % name for name in "ab")).robot
+        )
     with pytest.raises(DataError, match="no stream 'joints'; streams: thermometer"):
         read_joint_signals(recording(stream="thermometer", position=POSITION), arm)
     with pytest.raises(DataError, match=r"no column for joint.*b") as caught:
