@@ -451,10 +451,9 @@ def _given(given: dict[str, dict[str, float]], names: Sequence[str]) -> dict[tup
 
 
 def _declared(robot: Robot) -> dict[str, dict[str, float]]:
-    """Limits of the servos' profiles that the robot file's connections set, where these agree."""
+    """Limits of the servos' profiles that the robot file's connections set (`acceleration`), where these agree."""
     name, allowed = "acceleration_limit", TERMS[INDEX["acceleration_limit"]].allowed
-    servos = [each for each in robot.connections.values() if each.driver in ("feetech", "dynamixel")]
-    stated = [(connection.model_extra or {}).get("acceleration") for connection in servos]
+    stated = [(connection.model_extra or {}).get("acceleration") for connection in robot.connections.values()]
     limits = {float(each) for each in stated if isinstance(each, (int, float)) and allowed.holds(each)}
     return {joint: {name: limit} for limit in limits for joint in robot.joint_names if len(limits) == 1}
 

@@ -1,11 +1,12 @@
 """`dynid` with time limits that no stall of a busy computer passes, for runs in real time.
 
-The motion process imports this file, too, as the main module of its parent.
+The motion process imports this file, too, since its function stands here.
 """
 
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 from drivers.rtde import motion
 
@@ -13,6 +14,12 @@ PATIENCE = 60.0
 
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25
+_run = motion._run
+
+
+def run_patiently(*arguments: Any) -> None:
+    """What the motion process does, with the limits above."""
+    _run(*arguments)
 
 
 def be_patient() -> None:
@@ -43,7 +50,10 @@ def be_patient() -> None:
 
 
 if __name__ == "__main__":
+    import patient_dynid
+
     from dynid.command import main
 
+    motion._run = patient_dynid.run_patiently
     be_patient()
     sys.exit(main())
