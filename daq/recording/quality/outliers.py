@@ -99,39 +99,42 @@ def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
     """
     clean = values.copy()
     replaced, left = np.zeros(values.shape[1], dtype=np.int64), np.zeros(values.shape[1], dtype=np.int64)
-    for column in range(values.shape[1]):
-        interpolated = values[:, column].astype(np.float64)
+    if len(values) < 4 * NEIGHBOURS or not np.all(np.abs(time) <= STAMP.most):
+        return CleanSignal(clean, replaced, left)
+    # Repeated stamps have no cubic of their own; they are dropped again before anything is computed.
+    kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > _SAME_STAMP]))
+    stamps = time[kept]
+    if len(kept) < 4 * NEIGHBOURS or np.any(np.diff(stamps) <= 0):
+        return CleanSignal(clean, replaced, left)
+    weights = _weights_of_four(stamps)
+    for column in np.flatnonzero(np.all(np.isfinite(values), axis=0)):
+        signal = values[kept, column].astype(np.float64)
         with np.errstate(over="ignore", invalid="ignore"):  # absurd values are refused by those who use them
-            count = int(np.sum(_replace_outliers(time, interpolated)))
-        if count > TOO_MANY * len(values):
-            left[column] = count
-        elif count:
-            replaced[column] = count
-            clean[:, column] = interpolated
+            outlying = _replace_outliers(stamps, weights, signal)
+        rows = kept[outlying]
+        if len(rows) > TOO_MANY * len(values):
+            left[column] = len(rows)
+        elif len(rows):
+            replaced[column] = len(rows)
+            clean[rows, column] = (
+                signal[outlying] if len(kept) == len(values) else np.interp(time[rows], stamps, signal)
+            )
     return CleanSignal(clean, replaced, left)
 
 
-def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
+def _replace_outliers(time: FloatArray, weights: FloatArray, values: FloatArray) -> BoolArray:
     """Return which of the values (N,) are outliers; they are replaced in place."""
     outlying = np.zeros(len(values), dtype=bool)
-    if not np.all(np.isfinite(values)) or len(values) < 4 * NEIGHBOURS or not np.all(np.abs(time) <= STAMP.most):
-        return outlying
-    # Repeated stamps have no cubic of their own; they are dropped again before anything is computed.
-    kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > _SAME_STAMP]))
-    stamps, signal = time[kept], values[kept]
-    if len(kept) < 4 * NEIGHBOURS or np.any(np.diff(stamps) <= 0):
-        return outlying
-    step = quantisation_step(signal)
+    step = quantisation_step(values)
     floor = 0.0 if np.isnan(step) else step
     for _ in range(_PASSES):  # a large outlier hides a small one beside it
-        distance = _distance_from_four(stamps, signal)
-        scale = max(floor, _noise(distance, float(np.max(np.abs(signal)))))
+        distance = _distance_from_four(weights, values)
+        scale = max(floor, _noise(distance, float(np.max(np.abs(values)))))
         suspects = np.flatnonzero(np.abs(distance) > 0.5 * OUTLIER_DISTANCE * scale)
-        new = _confirmed(stamps, signal, suspects, scale)
+        new = _confirmed(time, values, suspects, scale)
         if not new.any():
             break
-        outlying[kept[new]] = True
-    values[outlying] = signal[outlying[kept]] if len(kept) == len(values) else np.interp(time[outlying], stamps, signal)
+        outlying |= new
     return outlying
 
 
@@ -149,21 +152,27 @@ def _noise(distance: FloatArray, largest: float) -> float:
     return max(noise, _ROUNDING_SHARE * largest)
 
 
-def _distance_from_four(time: FloatArray, values: FloatArray) -> FloatArray:
-    """(N,) distance of each sample from the cubic through two samples on either side; 0 at both ends."""
-    prediction = values.copy()
-    inner = slice(2, len(values) - 2)
-    shifts = (-2, -1, 1, 2)
-    at = {shift: time[2 + shift : len(time) - 2 + shift] - time[inner] for shift in shifts}
-    total = np.zeros(len(values) - 4)
-    for shift in shifts:
-        weight = np.ones(len(total))
-        for other in shifts:
+_SHIFTS = (-2, -1, 1, 2)
+
+
+def _weights_of_four(time: FloatArray) -> FloatArray:
+    """(4, N − 4) weights of the samples beside each one, two on either side, in the cubic through them."""
+    at = {shift: time[2 + shift : len(time) - 2 + shift] - time[2:-2] for shift in _SHIFTS}
+    weights = np.ones((len(_SHIFTS), len(time) - 4))
+    for weight, shift in zip(weights, _SHIFTS, strict=True):
+        for other in _SHIFTS:
             if other != shift:
                 weight *= at[other] / (at[other] - at[shift])
-        total += weight * values[2 + shift : len(values) - 2 + shift]
-    prediction[inner] = total
-    return values - prediction
+    return weights
+
+
+def _distance_from_four(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """(N,) distance of each sample from the cubic through two samples on either side; 0 at both ends."""
+    distance = np.zeros(len(values))
+    for weight, shift in zip(weights, _SHIFTS, strict=True):
+        distance[2:-2] += weight * values[2 + shift : len(values) - 2 + shift]
+    distance[2:-2] = values[2:-2] - distance[2:-2]
+    return distance
 
 
 def _confirmed(time: FloatArray, values: FloatArray, suspects: IntArray, scale: float) -> BoolArray:
