@@ -79,6 +79,7 @@ class CompiledStepping:
         """
         model, transmission = arm.model, arm.model.transmission
         self._arm, self._motion, self._change = arm, motion, memory[1]
+        self._changing_friction = arm.changing_friction
         self._tree = CompiledTree(model.joints, model.gravity)
         follow = placed = None
         loops = None
@@ -117,7 +118,7 @@ class CompiledStepping:
 
     def done(self, index: int) -> bool:
         """Return whether the step from row `index` was done; what was not needs the step in Python, which says why."""
-        if self._arm.changing_friction:
+        if self._changing_friction:
             position, velocity = self._motion[0][index], self._motion[1][index]
             middle = position + 0.5 * self._step * velocity
             self._viscous[:], self._driving[:] = self._arm.viscous_at(velocity + 0.5 * self._change)
