@@ -37,7 +37,7 @@ def run(samples: int = SAMPLES, rounds: int = 3) -> dict[str, float]:
     torque = matrix @ (base.projection @ truth_vector(robot_file))
     sigma = NOISE * float(np.sqrt(np.mean(torque**2)))
     torque = torque + sigma * np.random.default_rng(1).standard_normal(len(torque))
-    root = np.linalg.qr(matrix / sigma, mode="r")
+    root = np.asarray(np.linalg.qr(matrix / sigma, mode="r"))
     values = np.linalg.lstsq(matrix, torque, rcond=None)[0]
     estimate = Estimate(
         tuple(range(base.count)), values, root, np.linalg.inv(root.T @ root), np.zeros((base.count, 0)), 20
@@ -67,5 +67,6 @@ def _reference(system: FloatArray, target: FloatArray, links: int, positive: lis
     constraints += [
         sum(x[size * link + i] * BASIS[i] for i in range(size)) >> 1e-6 * np.eye(4) for link in range(links)
     ]
-    cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(system @ x - target)), constraints).solve(solver=cvxpy.CLARABEL)
+    cost = cvxpy.sum_squares(system @ x - target)  # type: ignore[attr-defined]
+    cvxpy.Problem(cvxpy.Minimize(cost), constraints).solve(solver=cvxpy.CLARABEL)  # type: ignore[no-untyped-call]
     return np.asarray(x.value)

@@ -116,7 +116,7 @@ def our_time(problem: DesignProblem, start: FloatArray) -> float:
     watched = replace(problem, criterion=_Watch(problem.criterion, problem))
     since = time.perf_counter()
     try:
-        for _ in solve(watched, start, "slsqp"):
+        for _ in solve(watched, start):
             pass
     except _ReachedError:
         return time.perf_counter() - since

@@ -113,7 +113,7 @@ def _mcap(path: Path, rows: FloatArray) -> None:
         for number in range(ROWS):
             stamp = round(rows[number, 0] * 1e9)
             writer.add_message(channel, stamp, rows[number].tobytes(), stamp, number)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
 
 
 def _read(path: Path) -> FloatArray:
