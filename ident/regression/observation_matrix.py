@@ -190,14 +190,14 @@ def _filtered_rows(kernel: RegressorKernel, segment: Segment, parallel_filter: Z
             return
     states = presliding_states(kernel.model, segment.velocity, segment.rate)
     packed = (rows for _, rows in evaluate_in_chunks(kernel, *motion, segment.temperature, states))
-    chunks, size = [], 0
+    chunks, samples = [], segment.position.shape[1] / parallel_filter.factor
+    keep = 8 * kernel.row_count * samples <= KEPT_AT_MOST
     for rows in _streamed(parallel_filter, kernel.row_count, packed):
         rows.setflags(write=False)
-        size += rows.nbytes
-        if size <= KEPT_AT_MOST:
+        if keep:
             chunks.append(rows)
         yield rows
-    if size <= KEPT_AT_MOST:
+    if keep:
         kernel.filtered.append((key, chunks))
         while sum(rows.nbytes for _, kept_chunks in kernel.filtered for rows in kept_chunks) > KEPT_AT_MOST:
             kernel.filtered.pop(0)
