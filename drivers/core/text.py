@@ -28,6 +28,11 @@ def counted(count: float, noun: str) -> str:
     return f"{count if isinstance(count, Integral) else f'{count:g}'} {words.replace('(s)', '' if count == 1 else 's')}"
 
 
+def rounded(value: float) -> str:
+    """A number of two significant digits, written out up to a million: 110, not 1.1e+02."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def in_percent(ratio: float | None) -> float | None:
     """A ratio in percent; None where there is none."""
     return None if ratio is None or not math.isfinite(ratio) else 100.0 * ratio

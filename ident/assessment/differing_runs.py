@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from drivers.core.text import rounded
 from ident.friction.table import FRICTION_KINDS
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import BaseParameters
@@ -65,9 +66,9 @@ def differing_run_checks(
         which = f"{', '.join(labels)} show different bodies"
     times = np.sqrt(together / max(apart, np.finfo(float).tiny))
     text = (
-        f"{which}: with common ones the residual is {times:.2g} times that with each recording's own, friction aside; "
-        "the tool, load, a gain or a joint zero differs: do not identify from them together, or validate one with the "
-        "other"
+        f"{which}: with common ones the residual is {rounded(times)} times that with each recording's own, friction "
+        "aside; the tool, load, a gain or a joint zero differs: do not identify from them together, or validate one "
+        "with the other"
     )
     return [raised("recordings-differ", text)]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
-from drivers.core.text import percent_text
+from drivers.core.text import percent_text, rounded
 from ident.assessment.torque_level import NOTHING, few_positions, gravity_torques
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -150,7 +150,7 @@ def urdf_scale_checks(scale: tuple[float, float] | None) -> list[Check]:
     if abs(np.log(factor)) < np.log(SCALED) or left > ALIKE * min(1.0, abs(float(np.log(factor)))):
         return []
     text = (
-        f"gravity's torques are {factor:.2g} times those of the URDF's bodies, at all joints alike (within "
+        f"gravity's torques are {rounded(factor)} times those of the URDF's bodies, at all joints alike (within "
         f"{percent_text(left, 2)}): check the unit of torque or current and all drive gains, or the "
         "URDF's masses"
     )

@@ -17,6 +17,7 @@ from daq.robot.urdf_robot import MOVABLE, UrdfArm, link_of, origin_of, read_urdf
 from daq.robot.validation import TODO
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
+from drivers.core.text import rounded
 from ident.linear_algebra.vectors import rotation_of
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
@@ -354,7 +355,8 @@ def _spread(body: LintedBody, moments: FloatArray) -> Iterator[Finding]:
         moved = float(np.trace(central)) / uniform
         yield Finding(
             "error" if wide and ratio > CERTAIN else "note", "origin", (body.name,),
-            f"its inertia is {ratio:.2g} times a uniform body's; {moved:.2g} times if it is about the link's origin",
+            f"its inertia is {rounded(ratio)} times a uniform body's; {rounded(moved)} times if it is about the link's "
+            "origin",
             "a URDF means the centre of mass (origin of <inertial>)", "move it there: subtract m·(c²·1 - c·cᵀ)",
         )  # fmt: skip
         return
@@ -363,7 +365,7 @@ def _spread(body: LintedBody, moments: FloatArray) -> Iterator[Finding]:
         yield Finding(
             "error" if body.box is not None and ratio > CERTAIN else "note", "gyration", (body.name,),
             f"its mass is spread over a radius of gyration of {gyration:.3g} m, {where} being {size:.3g} m long: "
-            f"{ratio:.2g} times the inertia of a uniform body",
+            f"{rounded(ratio)} times the inertia of a uniform body",
             f"it looks like {slip}", "compare it with CAD",
         )  # fmt: skip
     elif ratio < (POINT if body.box is not None else POINT_OF_REACH):

@@ -20,7 +20,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
-from drivers.core.text import percent_text
+from drivers.core.text import percent_text, rounded
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import provenance
 from ident.model.another_arm import check_arm
@@ -149,8 +149,8 @@ def identify_servo(
         )
     if len(recordings) > 1 and fit.rollout_mean > USABLE * steps.mean():
         doubts.append(
-            f"the recordings do not follow one model ({1e3 * fit.rollout_mean:.2g} mrad in their own data): if gains, "
-            "load or mounting changed between them, identify each alone (dynid diff compares the models)"
+            f"the recordings do not follow one model ({rounded(1e3 * fit.rollout_mean)} mrad in their own data): if "
+            "gains, load or mounting changed between them, identify each alone (dynid diff compares the models)"
         )
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
     result = ServoResult(
@@ -406,8 +406,8 @@ def verdict(
     if not judged.held_out:
         checks.append("not held out: these data are in the identification")
     reach = (
-        f"roll-out error {1e3 * mean:.2g} mrad ({mean / step:.2g} encoder steps), {gain:.2g} times less than with one "
-        "delay and lag"
+        f"roll-out error {rounded(1e3 * mean)} mrad ({rounded(mean / step)} encoder steps), {rounded(gain)} times less "
+        "than with one delay and lag"
     )
     return Grade(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
 

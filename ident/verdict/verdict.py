@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Literal, get_args
 
-from drivers.core.text import percent_text
+from drivers.core.text import percent_text, rounded
 from ident.verdict.catalogue import CATALOGUE
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES, Check, Purpose, Severity
 from ident.verdict.evidence import Evidence, MotionError, known
@@ -213,7 +213,9 @@ def _simulation_reasons(evidence: Evidence) -> list[_Reason]:
     """Reasons of the simulated motion and of the torque error in motion: at rest a simulation has its own stiction."""
     reasons = []
     for motion in evidence.motions:
-        others = [f"{other.whole:.2g} times in the {other.text}" for other in evidence.motions if other is not motion]
+        others = [
+            f"{rounded(other.whole)} times in the {other.text}" for other in evidence.motions if other is not motion
+        ]
         reasons += _motion_reasons(motion, f" ({'; '.join(others)})" if others else "")
     moving = known(evidence.whole.all_samples if evidence.whole.in_motion is None else evidence.whole.in_motion)
     if moving is None:
