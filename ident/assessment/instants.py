@@ -89,6 +89,11 @@ class Instants:
     tracks: tuple[Track, ...] = ()
     track: npt.NDArray[np.int64] | None = None
 
+    @property
+    def motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+        """What regressors and torques are computed from."""
+        return self.position, self.velocity, self.acceleration, self.temperature
+
     def with_positions(self, columns: Columns) -> Instants:
         """The same with other columns taken for the positions."""
         return replace(
@@ -134,7 +139,7 @@ class Instants:
 
     def regressor(self, kernel: RegressorKernel) -> FloatArray:
         """(n, b, N) of the kernel's columns."""
-        return dense_regressor(kernel, self.position, self.velocity, self.acceleration, self.temperature)
+        return dense_regressor(kernel, *self.motion)
 
     def filtered_regressor(self, kernel: RegressorKernel) -> FloatArray:
         """The same with the friction's columns, which jump at velocity reversals, as the filter leaves them."""

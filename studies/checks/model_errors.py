@@ -23,9 +23,9 @@ from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
+from ident.assessment.file_errors.refit import Refit
+from ident.assessment.file_errors.unknowns import Kind
 from ident.assessment.instants import instants
-from ident.assessment.refit import Refit
-from ident.assessment.unknowns import Kind
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model

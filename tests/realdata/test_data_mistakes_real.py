@@ -15,12 +15,12 @@ from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
+from ident.assessment.file_errors.refit import Refit
+from ident.assessment.file_errors.unknowns import Unknown
 from ident.assessment.instants import instants
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.recording_checks import stale_checks, unit_checks
-from ident.assessment.refit import Refit
 from ident.assessment.torque_level import torque_level_checks, weight_checks
-from ident.assessment.unknowns import Unknown
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.checks.body_checks import with_opposite_torques
 from ident.identify.checks.residual_bursts import burst_checks

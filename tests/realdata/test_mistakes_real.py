@@ -11,10 +11,10 @@ import pytest
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.robot.loader import parse_robot
+from ident.assessment.file_errors.refit import Refit
+from ident.assessment.file_errors.unknowns import Unknown
 from ident.assessment.instants import Columns, Instants, instants
 from ident.assessment.mistakes.competition import Competition, explanations
-from ident.assessment.refit import Refit
-from ident.assessment.unknowns import Unknown
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.regressor import RegressorKernel

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.assessment.file_errors.refit import Refit
 from ident.assessment.instants import instants
 from ident.assessment.mistakes.competition import EXPLAINED
-from ident.assessment.refit import Refit
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel

@@ -7,14 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.assessment.instants import instants
-from ident.assessment.mistakes.changes import Changes, change_check
-from ident.assessment.mistakes.competition import Competition, explanations
-from ident.assessment.mistakes.hypotheses import Mistake
-from ident.assessment.mistakes.ripple import ripple_checks
-from ident.assessment.mistakes.switches import switch_check
-from ident.assessment.mistakes.unsigned import unsigned_torques
-from ident.assessment.model_errors import (
+from ident.assessment.file_errors.model_errors import (
     candidates,
     model_error_checks,
     most_likely,
@@ -22,8 +15,15 @@ from ident.assessment.model_errors import (
     reported,
     unchecked_lengths,
 )
-from ident.assessment.refit import Refit
-from ident.assessment.unknowns import Deviation
+from ident.assessment.file_errors.refit import Refit
+from ident.assessment.file_errors.unknowns import Deviation
+from ident.assessment.instants import instants
+from ident.assessment.mistakes.changes import Changes, change_check
+from ident.assessment.mistakes.competition import Competition, explanations
+from ident.assessment.mistakes.hypotheses import Mistake
+from ident.assessment.mistakes.ripple import ripple_checks
+from ident.assessment.mistakes.switches import switch_check
+from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel

@@ -14,11 +14,11 @@ from functools import cached_property
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.assessment.file_errors.unknowns import Deviation, in_unknown_gravity
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints, on_active
 from ident.assessment.mistakes.equations import Equations, HypothesisFit, equations
 from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, couplings, mistakes, other_gravity
-from ident.assessment.unknowns import Deviation, in_unknown_gravity
 from ident.friction.table import RUBBING_KINDS
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel

@@ -143,5 +143,4 @@ def _torque(
     moved = less_ripples(competition.instants if few is None else few, orders, ripples)
     everything = np.zeros(competition.base.count)
     everything[competition.active] = parameters
-    motion = (moved.position, moved.velocity, moved.acceleration, moved.temperature)
-    return model_torque(competition.model, competition.base.columns, everything, *motion)
+    return model_torque(competition.model, competition.base.columns, everything, *moved.motion)

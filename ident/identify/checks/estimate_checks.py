@@ -9,7 +9,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.text import percent_text
-from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
+from ident.assessment.file_errors.model_errors import INDEPENDENT_PER_PARAMETER
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.identification import Identification

@@ -14,6 +14,9 @@ from random_arms import random_arm
 
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.arrays import FloatArray
+from ident.assessment.file_errors.model_errors import simplest_first
+from ident.assessment.file_errors.refit import Refit
+from ident.assessment.file_errors.unknowns import Unknown, tangents
 from ident.assessment.instants import BLOCKS, Columns, Instants, instants
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.mistakes.competition import Competition, explanations
@@ -21,10 +24,7 @@ from ident.assessment.mistakes.conditions import friction_conditions, inertia_co
 from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
 from ident.assessment.mistakes.ripple import less_ripples, ripple_checks
 from ident.assessment.mistakes.unsigned import unsigned_torques
-from ident.assessment.model_errors import simplest_first
-from ident.assessment.refit import Refit
 from ident.assessment.torque_level import _small_beside, torque_level_checks, weight_checks
-from ident.assessment.unknowns import Unknown, tangents
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import BaseParameters, base_parameters, random_states

@@ -11,10 +11,10 @@ import pytest
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
 from ident.assessment import instants as few
+from ident.assessment.file_errors.model_errors import candidates, model_error_checks, most_likely, quarter_turns
+from ident.assessment.file_errors.refit import Refit
+from ident.assessment.file_errors.unknowns import Deviation, Unknown, shifted_origins
 from ident.assessment.instants import instants
-from ident.assessment.model_errors import candidates, model_error_checks, most_likely, quarter_turns
-from ident.assessment.refit import Refit
-from ident.assessment.unknowns import Deviation, Unknown, shifted_origins
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model

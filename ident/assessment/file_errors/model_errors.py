@@ -9,9 +9,9 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
+from ident.assessment.file_errors.refit import TELLING, Refit
+from ident.assessment.file_errors.unknowns import Deviation, Kind, Unknown, shifted_origins
 from ident.assessment.instants import MOTION, later_motion
-from ident.assessment.refit import TELLING, Refit
-from ident.assessment.unknowns import Deviation, Kind, Unknown, shifted_origins
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries, compare_torques, independent_share, residual_autocorrelation
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT

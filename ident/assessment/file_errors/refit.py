@@ -18,8 +18,7 @@ import scipy.linalg
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.assessment.instants import BLOCKS, Instants
-from ident.assessment.unknowns import (
+from ident.assessment.file_errors.unknowns import (
     SHIFTS,
     Deviation,
     Unknown,
@@ -29,6 +28,7 @@ from ident.assessment.unknowns import (
     shifted_origins,
     tangents,
 )
+from ident.assessment.instants import BLOCKS, Instants
 from ident.linear_algebra.triangular import solved_factor, triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, model_torque
@@ -57,7 +57,6 @@ GAINS = (1e-3, 1e3)
 
 UNCERTAIN_START = 3.0
 """A joint's share in the smallest singular vector, over the singular value, below which its sign is noise."""
-
 
 LARGEST_STEP = 0.5
 """[rad] by which gravity's direction turns in one iteration."""
@@ -252,12 +251,7 @@ class Refit:
 
     def _difference(self, ends: Sequence[tuple[DynamicModel, Instants]], parameters: FloatArray) -> FloatArray:
         """(n, N) derivative of the torque by what is `SHIFT_STEP` ahead at the first end, and behind at the second."""
-        ahead, behind = (
-            model_torque(
-                model, self.columns, parameters, moved.position, moved.velocity, moved.acceleration, moved.temperature
-            )
-            for model, moved in ends
-        )
+        ahead, behind = (model_torque(model, self.columns, parameters, *moved.motion) for model, moved in ends)
         return np.asarray((ahead - behind) / (2.0 * SHIFT_STEP))
 
     def _distinguishable(self, slopes: FloatArray, sizes: FloatArray) -> list[int]:

@@ -1,0 +1,1 @@
+"""What may be wrong in a robot file, estimated from a recording."""
