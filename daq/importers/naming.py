@@ -103,7 +103,7 @@ _QUANTITY = {alias: quantity for quantity, aliases in ALIASES.items() for alias 
 _MAGNITUDE = {f"{quantity}_magnitude": quantity for quantity in ("current", "torque", "effort")}
 """What files call a signal that has lost its sign."""
 _NUMBERED = re.compile(r"^(.*?[^\d_\s\-])[_\s\-]?(?:(\d{1,3})|\[(\d{1,3})\]|\((\d{1,3})\))$")
-BRACKETED = re.compile(r"^(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+_BRACKETED = re.compile(r"^(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 """A name with its unit: `q1 [deg]`, `I1 (A)`."""
 _SEPARATORS = "_./:- "
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d{1,3}")
@@ -133,16 +133,22 @@ class Role:
     by_unit: bool = False  # whether only the unit gave the quantity
 
 
+def split_unit(name: str) -> tuple[str, str | None]:
+    """A name without the unit in brackets behind it, `q1 [deg]`, and that unit; None where it states none."""
+    match = _BRACKETED.match(name.strip())
+    if match is None:
+        return name, None
+    return match[1], (match[2] if match[2] is not None else match[3]).strip()
+
+
 def parse_name(name: str, joints: Sequence[str]) -> Role | None:
     """Meaning of a name, given the robot's joint names; None for an unknown name."""
     stripped = name.strip()
     role = _parse_bare(stripped, joints)
     if role is None:
-        match = BRACKETED.match(stripped)
-        if match is not None:
-            role = _parse_bare(match[1], joints)
-            unit = match[2] if match[2] is not None else match[3]
-            role = None if role is None else replace(role, unit=unit.strip())
+        bare, unit = split_unit(stripped)
+        role = _parse_bare(bare, joints) if unit is not None else None
+        role = None if role is None else replace(role, unit=unit or "")
     if role is None and "_" in stripped:
         head, unit = stripped.rsplit("_", 1)
         role = _parse_bare(head, joints)
@@ -154,15 +160,13 @@ def parse_name(name: str, joints: Sequence[str]) -> Role | None:
 
 def parse_unit(name: str) -> Role | None:
     """Meaning of a name by its unit alone: `Moment 3 [Nm]`, `Zeit [s]`; None without one or without a number."""
-    match = BRACKETED.match(name.strip())
-    if match is None:
+    bare, unit = split_unit(name)
+    if unit is None:
         return None
-    unit = (match[2] if match[2] is not None else match[3]).strip()
     quantity = UNIT_QUANTITIES.get(normalised(unit))
     if quantity == "time":
         return Role(name, quantity, unit=unit, by_unit=True)
-    numbers = re.findall(r"\d+", match[1])
-    words = {word.casefold() for word in _WORD.findall(match[1])}
+    numbers, words = re.findall(r"\d+", bare), {word.casefold() for word in _WORD.findall(bare)}
     if quantity is None or len(numbers) != 1 or len(numbers[0]) > 3 or words & _OWN_MEANING:
         return None
     return Role(name, quantity, number=int(numbers[0]), unit=unit, by_unit=True)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from daq.importers.naming import BRACKETED, REVOLUTE, TIMES, Role, parse_name, parse_unit
+from daq.importers.naming import REVOLUTE, TIMES, Role, parse_name, parse_unit, split_unit
 from daq.importers.table import listed, printable
 from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.text import did_you_mean
@@ -125,9 +125,7 @@ def _chosen_roles(
 
 def _called(given: str, names: Sequence[str]) -> list[str]:
     """The names that are `given`, or that are it with a unit behind."""
-    return [name for name in names if name == given] or [
-        name for name in names if (match := BRACKETED.match(name.strip())) is not None and match[1] == given
-    ]
+    return [name for name in names if name == given] or [name for name in names if split_unit(name)[0] == given]
 
 
 def _fitting(
@@ -139,8 +137,7 @@ def _fitting(
     expression = re.compile(re.escape(before) + r"(\d{1,3})" + re.escape(after))
     numbered: dict[int, list[str]] = {}
     for name in names:
-        bare = match[1] if (match := BRACKETED.match(name.strip())) is not None else name
-        fits = expression.fullmatch(name) or expression.fullmatch(bare)
+        fits = expression.fullmatch(name) or expression.fullmatch(split_unit(name)[0])
         if fits is not None:
             numbered.setdefault(int(fits[1]), []).append(name)
     for columns in (*named.values(), *numbered.values()):
@@ -184,10 +181,9 @@ def _as_chosen(role: Role, name: str, joints: Sequence[str]) -> Role:
     """A role with this name and the unit that the name states."""
     own = parse_name(name, joints)
     unit = own.unit if own is not None else ""
-    match = BRACKETED.match(name.strip())
-    if not unit and match is not None:
-        content = match[2] if match[2] is not None else match[3]
-        unit = content if normalised(content) in REVOLUTE.get(role.quantity, {}) else ""
+    stated = split_unit(name)[1]
+    if not unit and stated is not None and normalised(stated) in REVOLUTE.get(role.quantity, {}):
+        unit = stated
     return replace(role, name=name, unit=unit, exact=True)
 
 

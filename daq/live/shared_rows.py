@@ -41,7 +41,7 @@ class SharedRows:
 
     @classmethod
     def create(cls, channels: tuple[str, ...], capacity: int) -> Self:
-        """An empty ring of this many rows; its maker closes it last."""
+        """An empty ring of this many rows; the process that created it closes it last."""
         memory = SharedMemory(create=True, size=HEADER + 8 * capacity * (1 + len(channels)))
         return cls(memory, RowsHandle(memory.name, channels, capacity), owner=True)
 

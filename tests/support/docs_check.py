@@ -44,6 +44,9 @@ CHANGED = (
 READY = 60.0
 """Longest wait [s] for a simulated arm, or for a command that runs until Ctrl-C to have begun."""
 
+SAMPLES = 200_000
+"""Bytes of a recording that holds some seconds of samples."""
+
 LONGEST = 300.0
 """Longest duration [s] of a command."""
 
@@ -74,8 +77,7 @@ def killed_recording() -> None:
     with subprocess.Popen([DYNID, "sim", "ur5e", "--json"], stdout=subprocess.PIPE, text=True) as arm:
         ready(arm)
         with subprocess.Popen([DYNID, "record", "ur5e", "--duration", "60", "-o", "run.h5", "--no-ui"]) as recorder:
-            wait_for(lambda: any(Path().glob("run.unfinished*")))
-            time.sleep(3.0)  # of samples
+            wait_for(lambda: any(file.stat().st_size > SAMPLES for file in Path().glob("run.unfinished*")))
             recorder.kill()
         arm.send_signal(signal.SIGINT)
 

@@ -44,7 +44,7 @@ LEVEL = 0.05
 """Significance level of a delay; of the delays of single joints, all tested at once."""
 
 LONGEST_DELAY = 0.2
-"""Delays beyond this [s] are no filter's or bus's: the stamps have another error."""
+"""No filter or bus delays by more than this [s]: the stamps have another error."""
 
 READ_APART = 0.25
 """Share of the sampling period by which a torque may be ahead: within a cycle it is read before the position."""

@@ -21,7 +21,7 @@ from ident.linear_algebra.inequalities import nonnegative_least_squares
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.parameters import INERTIAL, link_parameters
+from ident.model.parameters import INERTIAL, inertia_tensor, link_parameters
 
 SLENDERNESS, TAPER = 0.04, 0.05
 """Radius of an assumed link: so much of the whole arm's length, and of the length that the link carries."""
@@ -188,8 +188,7 @@ def _described(link: FloatArray, stated: PriorLink, where: str) -> tuple[FloatAr
 
 def can_exist(mass: float, inertia: Sequence[float]) -> bool:
     """Return whether a body has this mass [kg] and inertia xx, xy, xz, yy, yz, zz about its centre of mass [kg·m²]."""
-    xx, xy, xz, yy, yz, zz = inertia
-    return _extended(mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    return _extended(mass, inertia_tensor(inertia))
 
 
 def uniform_ball(mass: float, com: FloatArray) -> FloatArray:
