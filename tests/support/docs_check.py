@@ -233,7 +233,9 @@ def run(command: str, arms: list[subprocess.Popen[str]]) -> None:
 def main() -> int:
     """Run the sessions, or those with a command that contains a word of the command line; 1 where something failed."""
     chosen = [one for one in SESSIONS if all(word in " ".join(one.commands) for word in sys.argv[1:])]
-    failed = 0
+    if not chosen:
+        print(f"no session has a command with {' and '.join(sys.argv[1:])}", file=sys.stderr)
+    failed = int(not chosen)
     for session in chosen:
         with TemporaryDirectory() as folder:
             os.chdir(folder)
