@@ -14,7 +14,7 @@ from ident.verdict.catalogue import CATALOGUE, raised
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, Check
 from ident.verdict.evidence import Evidence, MotionError, TorqueError
 from ident.verdict.verdict import AT_BEST, GRADES, Verdict, judge, together
-from studies.checks.checks_table import markdown_table
+from studies.checks.checks_table import markdown_lists
 
 JOINTS = ("j1", "j2", "j3")
 DOCS = Path(__file__).parents[3] / "docs" / "checks.md"
@@ -193,4 +193,4 @@ def test_the_catalogue_names_the_low_speed_of_the_errors() -> None:
 
 def test_the_docs_have_the_catalogue() -> None:
     """`python -m studies.checks.checks_table` writes it."""
-    assert markdown_table() in DOCS.read_text(encoding="utf-8")
+    assert markdown_lists() in DOCS.read_text(encoding="utf-8")
