@@ -90,7 +90,8 @@ class FrameStreams:
             assembler.forget()
         if self.clock is not None:
             self.clock.forget()
-        self._offset = 0.0
+        # arrivals and times of the newest rows of the joints
+        self._arrivals = self._times = np.zeros(0)
         self._lost = 0
         self.latest_position: FloatArray | None = None
         self._latest_time: dict[str, float] = {}
@@ -121,11 +122,11 @@ class FrameStreams:
         for name, assembler in self._assemblers.items():
             rows = assembler.take(frames, grouped)
             self._troubles.note(rows, essential=name == "joints")
-            self._faults.note(assembler.signals, rows, self._offset)
             if name == "joints":
                 block = self._joints_block(rows, assembler, poller)
             else:
                 block = self._other_block(name, rows, assembler)
+            self._faults.note(assembler.signals, rows, self._on_joints_clock(rows.host_time))
             if len(block.time):
                 blocks.append(block)
         return blocks
@@ -166,7 +167,8 @@ class FrameStreams:
             self._lost += self._answers.unanswered(poller, rows)
         if not len(times):
             return Batch("joints", times, host_time)
-        self._offset = float(times[-1] - host_time[-1])
+        self._arrivals = np.append(self._arrivals[-1:], host_time)
+        self._times = np.append(self._times[-1:], times)
         self.last_row = self._host_clock.now()
         self._rate_watch.note(host_time, self._lost)
         values_of = self._values(values, assembler)
@@ -177,14 +179,23 @@ class FrameStreams:
         return Batch("joints", times, host_time, values_of, lost)
 
     def _other_block(self, name: str, rows: Rows, assembler: Assembler) -> Batch:
-        if not len(rows.host_time):
-            return Batch(name, rows.host_time, rows.host_time)
+        times = self._on_joints_clock(rows.host_time)
+        if not np.all(np.isfinite(times)):
+            return Batch(name, np.zeros(0), np.zeros(0))
         # Arrivals jitter, and so does the way from one clock to the other; the stream's own time must not run back.
-        times = np.maximum.accumulate(rows.host_time + self._offset)
         before = self._latest_time.get(name, -math.inf)
-        times = np.maximum(times, before + 1e-6 * np.arange(1, len(times) + 1)) if math.isfinite(before) else times
-        self._latest_time[name] = float(times[-1])
+        times = np.maximum(np.maximum.accumulate(times), before + 1e-6 * np.arange(1, len(times) + 1))
+        self._latest_time[name] = float(times[-1]) if len(times) else before
         return Batch(name, times, rows.host_time, self._values(rows.values, assembler), rows.incomplete)
+
+    def _on_joints_clock(self, host_time: FloatArray) -> FloatArray:
+        """Arrivals (N,) on the clock of the joints, by the rows of theirs around them; nan before the first [s]."""
+        if self.clock is None:
+            return host_time
+        if not len(self._times):
+            return np.full(len(host_time), np.nan)
+        outside = np.minimum(host_time - self._arrivals[0], 0.0) + np.maximum(host_time - self._arrivals[-1], 0.0)
+        return np.asarray(np.interp(host_time, self._arrivals, self._times) + outside)
 
     def _values(self, values: FloatArray, assembler: Assembler) -> dict[str, FloatArray]:
         return {
@@ -257,15 +268,15 @@ class FaultWatch:
         """Begin anew: what is in fault is reported again."""
         self._last.clear()
 
-    def note(self, signals: Sequence[Signal], rows: Rows, source_minus_host: float) -> None:
-        """Look at the rows of a stream; `source_minus_host` [s] takes arrivals to the source's clock."""
+    def note(self, signals: Sequence[Signal], rows: Rows, times: FloatArray) -> None:
+        """Look at the rows of a stream, which have these times (N,) [s]."""
         for column, signal in enumerate(signals):
             if signal.quantity != "fault" or not len(rows.values):
                 continue
             values = rows.values[:, column]
             changes = np.flatnonzero(np.diff(values, prepend=self._last.get(signal.joint, 0.0)))
             for row in changes:
-                when = float(rows.host_time[row]) + source_minus_host
+                when = float(times[row])
                 if values[row] != 0.0:
                     self._notices.append(Notice(when, "error", f"{signal.label}: {values[row]:g}"))
                 else:

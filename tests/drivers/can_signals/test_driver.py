@@ -134,6 +134,28 @@ def test_the_counter_tells_time_and_losses(arm: Arm, make_driver: Make, read_for
     assert "own counter" in driver.streams()[0].channels[0].description
 
 
+def test_other_streams_have_the_joints_clock(arm: Arm, make_driver: Make, read_for: Read) -> None:
+    """Those before the first row of the joints have no time, and do not spoil that of the others."""
+
+    def cycle(number: int) -> list[tuple[int, bytes]]:
+        return [(0x184, bytes([number % 256])), *two_frames(number)]
+
+    made = arm(cycle)
+    keys = connection(made.channel, counter=True)
+    signals: Any = keys["signals"]
+    signals.append({"quantity": "fault", "joint": "elbow", "id": 0x184, "start": 0, "length": 8})
+    driver = make_driver(keys)
+    driver.open()
+    made.cycle = lambda number: cycle(number)[:1]
+    driver.start()
+    assert all(not len(block.time) for block in read_for(driver, 0.05))
+    made.cycle = cycle
+    blocks = [block for block in read_for(driver, 0.4) if block.stream == "status"]
+    times = np.concatenate([block.time for block in blocks])
+    assert len(times) >= 0.38 * RATE
+    assert np.allclose(times, joined(blocks, "fault", "status")[:, 0] / RATE, rtol=0, atol=0.5 * PERIOD)
+
+
 def test_an_incomplete_row_is_lost_and_its_frame_named(arm: Arm, make_driver: Make, read_for: Read) -> None:
     def cycle(number: int) -> list[tuple[int, bytes]]:
         return two_frames(number)[: 1 if number % 10 == 5 else 2]
