@@ -19,7 +19,7 @@ GRADES: tuple[Grade, ...] = get_args(Grade)
 GOOD_ERROR = 0.05
 USABLE_ERROR = 0.10
 """Relative held-out errors of the whole arm below which a model is good and usable; published arms lie between 1.4 and
-8.5 % (docs/identification.md)."""
+8.5 % (docs/checks.md)."""
 
 GOOD_JOINT_ERROR = 0.15
 USABLE_JOINT_ERROR = 0.30
