@@ -14,6 +14,7 @@ where Newton on the barrier alone would crawl.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,8 +47,11 @@ RECENTRED = 2.0
 DEEP = 1.0
 """Margin, in units of the conditions, with which a start is searched."""
 
+ENOUGH = 0.1
+"""Share of it with which the search ends."""
+
 PUSH = 1e3
-"""Weight of that wish over the barrier's."""
+"""Weight of that margin over the barrier's."""
 
 IntArray = np.ndarray[tuple[int, ...], np.dtype[np.intp]]
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
@@ -90,7 +94,12 @@ class NewtonMinimum:
 
 
 def minimise(
-    system: FloatArray, target: FloatArray, conditions: Conditions, start: FloatArray, free: BoolArray
+    system: FloatArray,
+    target: FloatArray,
+    conditions: Conditions,
+    start: FloatArray,
+    free: BoolArray,
+    enough: Callable[[FloatArray], bool] = lambda _: False,
 ) -> NewtonMinimum:
     """The minimum of the objective above.
 
@@ -100,6 +109,7 @@ def minimise(
         conditions: that must be positive, and the weights.
         start: (p,) strictly inside.
         free: (p,) variables that may change; the others keep their value of `start`.
+        enough: whether an iterate (p,) will do, so that the search ends there.
 
     Raises:
         IdentificationError: no minimum was reached (a system that is not finite, above all).
@@ -108,14 +118,15 @@ def minimise(
 
     variables = np.flatnonzero(free)
     least = conditions.weights
-    y, length = start.copy(), 1.0
+    y = start.copy()
     residual = system @ y - target
     ratio = float(residual @ residual) / max(float(np.sum(least)), np.finfo(float).tiny)
     duals = _Duals.central(conditions, y, max(1.0, ratio) * least)
     for step in range(MOST_STEPS):
         now = max(1.0, ratio) * least
         try:
-            rows, right = duals.newton(conditions, y, now)
+            scaled = duals.scaled(conditions, y)
+            rows, right = scaled.newton(conditions, now)
             # A step is a least-squares problem; by QR it keeps the digits that the squared Hessian would lose.
             stacked = np.vstack([system[:, variables], rows[:, variables]])
             factor = triangular(np.column_stack([stacked, np.concatenate([residual, right])]))
@@ -127,7 +138,7 @@ def minimise(
                 return NewtonMinimum(y, root, step)
             direction = np.zeros_like(y)
             direction[variables] = -solve_triangular(root, image)
-            length, duals = duals.stepped(conditions, y, now, direction)
+            length, duals = scaled.stepped(conditions, now, direction)
         except np.linalg.LinAlgError:  # a dual that lost its last digits: those of the iterate take its place
             if not conditions.hold(y):
                 break
@@ -135,6 +146,8 @@ def minimise(
             duals = _Duals.central(conditions, y, max(1.0, ratio) * least)
             continue
         y = y + length * direction
+        if enough(y):
+            return NewtonMinimum(y, root, step + 1)
         residual = system @ y - target
         ratio = duals.ratio(conditions, y) * (FAST if length >= LONG_STEP else SLOW)
     raise IdentificationError(
@@ -176,7 +189,9 @@ def strictly_inside(conditions: Conditions, start: FloatArray, free: BoolArray) 
     system[:count, :count] = 1e-3 * np.eye(count)
     system[count, count] = PUSH
     target = np.append(1e-3 * start, -PUSH * DEEP)
-    minimum = minimise(system, target, relaxed, np.append(start, tau), np.append(free, True))
+    minimum = minimise(
+        system, target, relaxed, np.append(start, tau), np.append(free, True), lambda y: y[-1] < -ENOUGH * DEEP
+    )
     point = minimum.y[:count]
     if conditions.hold(point):
         return point, forces
@@ -205,68 +220,78 @@ class _Duals:
         matrices = weights[:count, None, None] * np.linalg.inv(conditions.matrices(y))
         return cls(_symmetric(matrices), weights[count:] / conditions.slacks(y))
 
-    def _scaling(self, matrices: FloatArray) -> FloatArray:
-        """G⁻¹ (k, 4, 4) with W = G·Gᵀ the scaling point, W·Z·W = S; LinAlgError where rounding left S or Z negative."""
+    def scaled(self, conditions: Conditions, y: FloatArray) -> _Scaled:
+        """The conditions at y in the scaling of these duals; LinAlgError where rounding left S or Z negative."""
+        matrices = conditions.matrices(y)
         roots = np.linalg.cholesky(matrices)
         values, vectors = np.linalg.eigh(_symmetric(roots.transpose(0, 2, 1) @ self.matrices @ roots))
         if not np.all(values > 0.0):
             raise np.linalg.LinAlgError("not positive")
-        return np.asarray(values[:, :, None] ** 0.25 * vectors.transpose(0, 2, 1) @ np.linalg.inv(roots))
+        inverse_roots = np.linalg.inv(roots)
+        scaling = values[:, :, None] ** 0.25 * vectors.transpose(0, 2, 1) @ inverse_roots
+        return _Scaled(self, matrices, conditions.slacks(y), inverse_roots, np.asarray(scaling))
 
     def ratio(self, conditions: Conditions, y: FloatArray) -> float:
         """Mean of ⟨S, Z⟩ and s·z over their values at the minimum: the remaining weight of the barrier."""
         products = np.einsum("kab,kab->k", conditions.matrices(y), self.matrices) / MATRIX_ROWS
         return float(np.mean(np.append(products, conditions.slacks(y) * self.slacks) / conditions.weights))
 
-    def newton(self, conditions: Conditions, y: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+
+@dataclass(frozen=True)
+class _Scaled:
+    """Conditions at a point, and the scaling of Nesterov and Todd there: W = G·Gᵀ with W·Z·W = S."""
+
+    duals: _Duals
+    matrices: FloatArray  # (k, 4, 4) S
+    slacks: FloatArray  # (g,) s
+    inverse_roots: FloatArray  # (k, 4, 4) L⁻¹ with S = L·Lᵀ
+    scaling: FloatArray  # (k, 4, 4) G⁻¹
+
+    def _inverses(self) -> FloatArray:
+        return np.asarray(self.inverse_roots.transpose(0, 2, 1) @ self.inverse_roots)
+
+    def newton(self, conditions: Conditions, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows A (r, p) and s (r,): Aᵀ·A in place of the conditions' Hessian, and Aᵀ·s their gradient."""
-        width, count = len(y), len(conditions.least)
-        matrices, slacks = conditions.matrices(y), conditions.slacks(y)
-        scaling = self._scaling(matrices)
+        count, width = len(self.matrices), conditions.rows.shape[1]
+        scaling = self.scaling
         moved = (scaling[:, None] @ conditions.basis @ scaling.transpose(0, 2, 1)[:, None])[:, :, *_UPPER] * _TWICE
         block = np.zeros((count, len(_TWICE), width))
         places = np.arange(count)[:, None, None], np.arange(len(_TWICE))[:, None], conditions.variables[:, None, :]
         block[places] = moved.transpose(0, 2, 1)
         back = np.linalg.inv(scaling)
         force = conditions.weights[:count, None, None] * conditions.pull
-        force = force - weights[:count, None, None] * np.linalg.inv(matrices)
+        force = force - weights[:count, None, None] * self._inverses()
         right = (back.transpose(0, 2, 1) @ force @ back)[:, *_UPPER] * _TWICE
-        scale = np.sqrt(self.slacks / slacks)
+        scale = np.sqrt(self.duals.slacks / self.slacks)
+        pulled = conditions.weights[count:] * conditions.row_pull - weights[count:] / self.slacks
         return (
             np.vstack([block.reshape(-1, width), scale[:, None] * conditions.rows]),
-            np.concatenate(
-                [right.ravel(), (conditions.weights[count:] * conditions.row_pull - weights[count:] / slacks) / scale]
-            ),
+            np.concatenate([right.ravel(), pulled / scale]),
         )
 
-    def stepped(
-        self, conditions: Conditions, y: FloatArray, weights: FloatArray, direction: FloatArray
-    ) -> tuple[float, _Duals]:
+    def stepped(self, conditions: Conditions, weights: FloatArray, direction: FloatArray) -> tuple[float, _Duals]:
         """Share of the step that leaves everything positive, and the duals after it."""
-        count = len(conditions.least)
-        matrices, slacks = conditions.matrices(y), conditions.slacks(y)
+        count, duals = len(self.matrices), self.duals
         change = np.einsum("kj,kjab->kab", direction[conditions.variables], conditions.basis)
         slack_change = conditions.rows @ direction
-        scaling = self._scaling(matrices)
-        inverse = scaling.transpose(0, 2, 1) @ scaling
-        wanted = weights[:count, None, None] * np.linalg.inv(matrices) - self.matrices
+        inverse = self.scaling.transpose(0, 2, 1) @ self.scaling
+        wanted = weights[:count, None, None] * self._inverses() - duals.matrices
         dual_change = _symmetric(wanted - inverse @ change @ inverse)
-        dual_slack_change = weights[count:] / slacks - self.slacks - self.slacks / slacks * slack_change
+        dual_slack_change = weights[count:] / self.slacks - duals.slacks - duals.slacks / self.slacks * slack_change
         worst = min(
-            _steepest(matrices, change),
-            _steepest(self.matrices, dual_change),
-            float(np.min(slack_change / slacks, initial=0.0)),
-            float(np.min(dual_slack_change / self.slacks, initial=0.0)),
+            _steepest(self.inverse_roots, change),
+            _steepest(np.linalg.inv(np.linalg.cholesky(duals.matrices)), dual_change),
+            float(np.min(slack_change / self.slacks, initial=0.0)),
+            float(np.min(dual_slack_change / duals.slacks, initial=0.0)),
         )
         length = min(1.0, -TO_BOUNDARY / worst) if worst < 0 else 1.0
-        return length, _Duals(self.matrices + length * dual_change, self.slacks + length * dual_slack_change)
+        return length, _Duals(duals.matrices + length * dual_change, duals.slacks + length * dual_slack_change)
 
 
 def _symmetric(matrices: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (matrices + matrices.transpose(0, 2, 1)))
 
 
-def _steepest(matrices: FloatArray, change: FloatArray) -> float:
-    """The smallest eigenvalue of the change (k, 4, 4) relative to positive definite matrices, 0 at most."""
-    inverse = np.linalg.inv(np.linalg.cholesky(matrices))
-    return float(np.min(np.linalg.eigvalsh(inverse @ change @ inverse.transpose(0, 2, 1)), initial=0.0))
+def _steepest(inverse_roots: FloatArray, change: FloatArray) -> float:
+    """The smallest eigenvalue (0 at most) of the change (k, 4, 4) relative to S (k, 4, 4), of whose root this is."""
+    return float(np.min(np.linalg.eigvalsh(inverse_roots @ change @ inverse_roots.transpose(0, 2, 1)), initial=0.0))

@@ -67,13 +67,17 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
     Raises:
         RobotFileError: a body of `prior` cannot exist.
     """
-    links, sources = _assumed_links(model, system, target), ["assumed"] * len(model.joints)
-    robot = robot_file.robot
-    for index, body in enumerate(urdf_inertias(robot_file, model.link_names)):
-        if body is not None and _extended(body[0], body[2]):
-            xx, xy, xz, yy, yz, zz = body[2][np.triu_indices(3)]
-            links[index] = link_parameters(body[0], tuple(body[1]), (xx, xy, xz, yy, yz, zz))
-            sources[index] = "urdf"
+    robot, sources = robot_file.robot, ["assumed"] * len(model.joints)
+    of_urdf = {
+        index: body
+        for index, body in enumerate(urdf_inertias(robot_file, model.link_names))
+        if body is not None and _extended(body[0], body[2])
+    }
+    complete = len(of_urdf) == len(sources)
+    links = np.zeros((len(sources), 10)) if complete else _assumed_links(model, system, target)
+    for index, (mass, centre, inertia) in of_urdf.items():
+        xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
+        links[index], sources[index] = link_parameters(mass, tuple(centre), (xx, xy, xz, yy, yz, zz)), "urdf"
     for index, name in enumerate(model.link_names):
         if name in robot.prior.links and robot.prior.links[name].mass is not None:
             where = f"{robot.name}: prior.links.{name}"
@@ -103,7 +107,7 @@ def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target:
     its own, its centre and second moments being uncertain: of those that explain the data, with no mass below 0, the
     ones that need the least deviations. These are wrong where links are not shaped as assumed.
     """
-    from scipy.linalg import null_space
+    from scipy.linalg import block_diag, null_space
 
     own, count = system[:, links.size :], len(links)
     lengths = np.linalg.norm(own, axis=0)
@@ -116,7 +120,7 @@ def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target:
     left = null_space(own.T).T @ np.column_stack([common * system[:, : links.size], target])
     shift = max(LENGTH_SHARE * arm_length(model), LEAST_RADIUS)
     changes = left[:, :-1] @ _deviations(links, shift)
-    masses = left[:, :-1] @ np.vstack([np.kron(np.eye(count)[link], links[link]) for link in range(count)]).T
+    masses = left[:, :-1] @ block_diag(*links[:, :, None])
     # Unknowns: deviations, the links' factors and their mean; last the right-hand side.
     rows = np.zeros((changes.shape[1] + count, changes.shape[1] + count + 2))
     rows[: changes.shape[1], : changes.shape[1]] = np.eye(changes.shape[1])
@@ -136,20 +140,16 @@ def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target:
 
 def _deviations(links: FloatArray, shift: float) -> FloatArray:
     """Changes (10·k, 9·k) of links (k, 10) by one σ each: of the centre by `shift` [m], and of the second moments."""
-    changes = np.zeros((links.size, 9 * len(links)))
-    for link, body in enumerate(links):
-        pseudo, centre = pseudo_inertia(body), body[6:9] / body[9]
-        rates = []
-        for axis in range(3):
-            rates.append(np.zeros((4, 4)))
-            rates[-1][axis, 3] = shift
-            for other in range(axis, 3):
-                rates.append(np.zeros((4, 4)))
-                rates[-1][axis, [other, 3]] = WIDTH_DEVIATION * np.array([1.0, -centre[other]])
-        for number, rate in enumerate(rates):
-            row, column = len(body) * link, len(rates) * link + number
-            changes[row : row + len(body), column] = standard_parameters(rate @ pseudo + pseudo @ rate.T)
-    return changes
+    from scipy.linalg import block_diag
+
+    pseudo, centres = pseudo_inertia(links)[:, None], links[:, 6:9] / links[:, 9:]
+    rates = np.zeros((len(links), 9, 4, 4))
+    rates[:, range(3), range(3), 3] = shift
+    axis, other = np.triu_indices(3)
+    rates[:, range(3, 9), axis, other] = WIDTH_DEVIATION
+    rates[:, range(3, 9), axis, 3] = -WIDTH_DEVIATION * centres[:, other]
+    changes = standard_parameters(rates @ pseudo + pseudo @ rates.swapaxes(2, 3))
+    return np.asarray(block_diag(*changes.swapaxes(1, 2)))
 
 
 def _centre_std(model: DynamicModel) -> FloatArray:

@@ -261,21 +261,23 @@ def _least_inertias(
     parameters = model.parameters
     friction = friction_rates(model, [base.columns[column] for column in estimate.active], estimate.values)
     carrying = np.array([p.kind in ("inertial", "motor_inertia") or p.symbol == "Iac" for p in parameters])
-    position, still, _ = random_states(model, POSES)
-    still, heat = np.zeros_like(still), np.full_like(position, REFERENCE_TEMPERATURE)
+    joints = [
+        joint for joint in range(model.dof) if f"Ia{model.active[joint] + 1}" not in known and friction[joint] != 0.0
+    ]
+    position, _, _ = random_states(model, POSES)
+    positions = np.tile(position, len(joints))
+    still, heat = np.zeros_like(positions), np.full_like(positions, REFERENCE_TEMPERATURE)
+    # Each joint in turn accelerates by 1, at all poses.
+    unit = np.repeat(np.eye(model.dof)[:, joints], POSES, axis=1)
     weightless = replace(model, gravity=np.zeros(3))
-    for joint, name in enumerate(model.joint_names):
-        own = f"Ia{model.active[joint] + 1}"
-        if own in known or friction[joint] == 0.0:
-            continue
-        unit = still.copy()
-        unit[joint] = 1.0
-        motors = regressor(weightless, position, still, unit, range(len(parameters)), heat)
-        rows = motors[joint]
+    motors = regressor(weightless, positions, still, unit, range(len(parameters)), heat)
+    for place, joint in enumerate(joints):
+        of_poses = motors[:, :, place * POSES : (place + 1) * POSES]
+        rows = of_poses[joint]
         if not model.transmission.direct:
-            rows = np.einsum("m,mpN->pN", model.transmission.coupling[:, joint], motors)
+            rows = np.einsum("m,mpN->pN", model.transmission.coupling[:, joint], of_poses)
         for row in np.unique(np.round(np.where(carrying[:, None], rows, 0.0), 9), axis=1).T:
-            yield name, row, COASTING * float(friction[joint])
+            yield model.joint_names[joint], row, COASTING * float(friction[joint])
 
 
 def friction_rates(model: DynamicModel, columns: Sequence[int], values: FloatArray) -> FloatArray:

@@ -52,10 +52,10 @@ def pseudo_inertia(links: FloatArray) -> FloatArray:
 
 
 def standard_parameters(pseudo: FloatArray) -> FloatArray:
-    """Ten standard parameters (10,) of a pseudo-inertia (4, 4)."""
-    moments = pseudo[:3, :3]
-    inertia = np.trace(moments) * np.eye(3) - moments
-    return np.array([*inertia[np.triu_indices(3)], *pseudo[:3, 3], pseudo[3, 3]])
+    """Ten standard parameters (…, 10) of pseudo-inertias (…, 4, 4)."""
+    moments = pseudo[..., :3, :3]
+    inertia = np.trace(moments, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - moments
+    return np.concatenate([inertia[..., *np.triu_indices(3)], pseudo[..., :3, 3], pseudo[..., 3:, 3]], axis=-1)
 
 
 @dataclass(frozen=True)
