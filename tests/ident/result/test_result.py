@@ -108,6 +108,7 @@ def test_numbers_are_those_of_the_identification(identified, content):
             assert parameter["std"] == found.std[i]
             assert parameter["rsd_percent"] == pytest.approx(100 * found.std[i] / abs(found.solution.parameters[i]))
             assert parameter["significant"] == (parameter["rsd_percent"] < 15.0)
+            assert parameter["f_value"] == pytest.approx((100 / parameter["rsd_percent"]) ** 2)  # AUBO Table II
             assert parameter["classical_std"] == found.solution.std[i]
         assert parameter["unit"] in UNITS.values()
     assert content["fit"]["relative_error"] == found.fit.relative_error
@@ -118,7 +119,9 @@ def test_numbers_are_those_of_the_identification(identified, content):
 def test_what_is_not_excited_is_null_and_not_significant(content):
     parameters = {parameter["name"]: parameter for parameter in content["base_parameters"]}
     silent = parameters["Fs2"]
-    assert [silent[key] for key in ("value", "std", "rsd_percent", "essential_value", "essential_std")] == [None] * 5
+    assert [silent[key] for key in ("value", "std", "rsd_percent", "f_value", "essential_value", "essential_std")] == [
+        None
+    ] * 6
     assert silent["significant"] is False
     assert "Fs2" in content["excitation"]["unexcited"]
     friction = {joint["joint"]: joint for joint in content["friction"]}

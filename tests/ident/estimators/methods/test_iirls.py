@@ -9,7 +9,8 @@ from each import each
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import UsageError
-from ident.estimators.robust.friction_bounds import FrictionBounds
+from ident.estimators.estimator import Setup
+from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
 from ident.estimators.robust.reweighting import weighted_pass
 from ident.estimators.robust.sensitivities import shape_columns
 from ident.estimators.robust.weight_functions import HUBER_THRESHOLD, WeightFunction
@@ -17,7 +18,7 @@ from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
-from ident.model.regressor import RegressorKernel, regressor
+from ident.model.regressor import LoadTorqueKernel, RegressorKernel, regressor
 from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.least_squares import ordinary_least_squares
 from ident.report import ReportData
@@ -55,6 +56,11 @@ def full(faulty) -> Identification:
     return identified(faulty, "iirls")
 
 
+@pytest.fixture(scope="module")
+def in_turn(faulty) -> Identification:
+    return identified(faulty, "iirls:decoupled=true")
+
+
 def deviations(arm: RobotFile, found: Identification) -> np.ndarray:
     truth = found.base.projection @ truth_vector(arm, true_model(arm))
     return (found.solution.parameters - truth) / found.std
@@ -90,13 +96,12 @@ def test_exponents_are_those_of_all_equations_by_hubers_weights(full):
         assert abs(step) < 5e-4 * full.model.terms.shape("exponent", motor)
 
 
-def test_in_turn_comes_to_the_same(arm, faulty, full):
-    turned = identified(faulty, "iirls:decoupled=true")
-    assert turned.solution.settled
-    difference = (turned.solution.parameters - full.solution.parameters) / full.std
+def test_in_turn_comes_to_the_same(full, in_turn):
+    assert in_turn.solution.settled
+    difference = (in_turn.solution.parameters - full.solution.parameters) / full.std
     assert np.max(np.abs(difference)) < 0.5  # steps shorter than 0.01 σ, and many of them
-    assert turned.model.terms.shapes["exponent"] == pytest.approx(full.model.terms.shapes["exponent"], abs=5e-3)
-    assert turned.estimation.passes > full.estimation.passes
+    assert in_turn.model.terms.shapes["exponent"] == pytest.approx(full.model.terms.shapes["exponent"], abs=5e-3)
+    assert in_turn.estimation.passes > full.estimation.passes
 
 
 def test_every_loop_is_in_the_result_and_on_the_page(faulty, full):
@@ -145,11 +150,26 @@ def test_bounds_that_no_friction_reaches_change_nothing(faulty, full):
     assert "at a bound: none" in bounded.estimation.steps[-1].text
 
 
+def test_load_friction_that_the_data_have_negative_is_none(arm):
+    """f_L of AUBO eq. 16 where the arm has no load friction: noise alone decides its sign."""
+    text = arm.text
+    for load in ("0.002", "0.003", "0.01"):
+        text = text.replace(f"load: {load},", "load: 0,")
+    plain = parse_robot(text, where="no load friction", folder=None)
+    motion = random_fourier_motion(build_model(plain), 14.0, seed=1)
+    recording = simulate_recording(plain, motion, 28.0, seed=1)
+    free, found = identified(recording, "irls"), identified(recording, "iirls")
+    place = free.base.names.index("Fl3")
+    assert free.solution.parameters[place] < 0.0
+    assert found.solution.parameters[place] == 0.0
+    assert found.estimation.steps[-1].text.endswith("at a bound: Fl3")
+
+
 @pytest.mark.parametrize("decoupled", ["", ":decoupled=true"])
-def test_friction_stays_within_its_bounds(faulty, full, decoupled):
+def test_friction_stays_within_its_bounds(faulty, full, in_turn, decoupled):
     """A bound just below the largest Coulomb friction over its torque limit (AUBO eq. 16)."""
     limits = np.array([joint.torque for joint in full.robot_file.robot.joints])
-    unbounded = identified(faulty, f"iirls{decoupled}") if decoupled else full
+    unbounded = in_turn if decoupled else full
     free = dict(zip(unbounded.base.names, unbounded.solution.parameters, strict=True))
     share = 0.95 * max(free[f"Fs{k}"] / limit for k, limit in enumerate(limits, start=1))
     found = identified(faulty, f"iirls:largest_friction={share}{decoupled}")
@@ -159,6 +179,29 @@ def test_friction_stays_within_its_bounds(faulty, full, decoupled):
         assert abs(value[f"Fo{k}"]) <= limit * (1 + 1e-9)
         assert value[f"Fv{k}"] >= 0.0
     assert "at a bound: none" not in found.estimation.steps[-1].text
+
+
+def test_bounds_of_a_term_are_those_of_its_torque(full):
+    """At the highest speed and load torque of the data a term reaches its share of the torque limit (eq. 16)."""
+    kernel, runs = full.estimation.kernel, tuple(run.prepared for run in full.runs)
+    setup = Setup(kernel, full.base, full.experiment, full.robot_file, runs)
+    free, tight = friction_bounds(setup, kernel, None), friction_bounds(setup, kernel, 0.1)
+    motion = [np.hstack([getattr(s, name) for run in runs for s in run.segments]) for name in ("position", "velocity")]
+    speed = np.abs(motion[1][2]).max()
+    load = np.abs(LoadTorqueKernel(kernel.model).torque(motion[0])[2]).max()
+    limit = 0.1 * full.robot_file.robot.joints[2].torque
+    exponent = kernel.model.terms.shape("exponent", 2)
+    for name, torque, least in (
+        ("Fs3", 1.0, 0.0),
+        ("Fo3", 1.0, -limit),
+        ("Fv3", speed**exponent, 0),
+        ("Fl3", load**2, 0),
+    ):
+        place = full.base.names.index(name)
+        assert tight.most[place] * torque == pytest.approx(limit, rel=1e-3)
+        assert tight.least[place] == least
+        assert free.most[place] == np.inf
+        assert free.least[place] == (-np.inf if least else 0.0)
 
 
 @each("seed", range(20))
