@@ -85,7 +85,9 @@ def _check_file(path: Path, kind: InputKind, hint: str = "") -> None:
         raise RecordingError("is empty (0 bytes)", where=where, hint="copy it again from its source")
     if not _has_hdf5_signature(path):
         raise RecordingError(
-            "is not an HDF5 file", where=where, hint="convert another format with: dynid import FILE --robot ROBOT"
+            "is not an HDF5 file",
+            where=where,
+            hint=f'import it: dynid import {path} --robot ROBOT -o NEW.h5, or dynid.import_recording("{path}", …)',
         )
 
 

@@ -33,25 +33,18 @@ Run = Recording | str | PathLike[str]
 
 Runs = Run | Sequence[Run]
 
-IMPORTED = frozenset({".csv", ".tsv", ".txt", ".dat", ".npz", ".mat", ".db3", ".mcap"})
-"""Endings of files that `import_recording` reads, and that hold no recording."""
-
 
 def recording_of(run: Run) -> Recording:
     """The recording, read where a path is given.
 
     Raises:
         RecordingError: it cannot be read.
-        UsageError: it is no recording; says how to make one of it.
+        UsageError: it is neither recording nor path; says how to make a recording of it.
     """
     if isinstance(run, Recording):
         return run
     if isinstance(run, (str, PathLike)):
-        path = Path(run)
-        if path.suffix.lower() in IMPORTED and path.exists():
-            hint = f'dynid import {path} --robot ROBOT -o {path.stem}.h5, or dynid.import_recording("{path}", robot)'
-            raise UsageError("is not a recording, but can be imported", where=str(path), hint=hint)
-        return read_recording(path)
+        return read_recording(Path(run))
     if hasattr(run, "iloc"):
         door = "dynid.Recording.from_dataframe(robot, frame)"
     elif isinstance(run, Mapping):

@@ -151,7 +151,7 @@ def test_what_is_no_recording_is_told_its_door(given, door):
 def test_a_foreign_file_is_told_its_door(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t,q1\n0,0\n")
-    with pytest.raises(dynid.UsageError, match=r"dynid.import_recording\("):
+    with pytest.raises(dynid.RecordingError, match=r"dynid.import_recording\("):
         dynid.identify(path)
 
 
