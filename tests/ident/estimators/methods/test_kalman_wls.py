@@ -50,9 +50,11 @@ def test_it_stays_at_least_squares(three_joint):
     recording = simulate_recording(
         three_joint, random_fourier_motion(build_model(three_joint), 8.0, seed=1), 16.0, seed=1
     )
-    plain, filtered = (
-        identify([recording], [], IdentifyChoices(method, search_delay=False)) for method in ("wls", "kalman-wls")
+    plain, filtered, measured = (
+        identify([recording], [], IdentifyChoices(method, search_delay=False))
+        for method in ("wls", "kalman-wls", "kalman-wls:ratio=1e10")
     )
+    assert measured.solution.parameters == pytest.approx(plain.solution.parameters, abs=1e-7)  # nothing is filtered
     assert filtered.solution.method == "kalman-wls"
     difference = (filtered.solution.parameters - plain.solution.parameters) / plain.std
     assert 0.0 < np.max(np.abs(difference)) < 1.0

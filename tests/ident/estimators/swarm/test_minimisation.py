@@ -53,6 +53,29 @@ def test_a_seed_gives_one_search(optimiser: Optimiser) -> None:
     assert not np.array_equal(runs[0].point, runs[2].point)
 
 
+@each(("random", "longest"), [("leap", 0.02), ("coordinate", 0.1)])
+def test_no_leap_is_longer_than_the_longest_one(random, longest):
+    """D_max of the UP6 paper, in widths of the box: a point is drawn at random, or so near to one before."""
+    drawn: list[FloatArray] = []
+    seen: list[FloatArray] = []
+
+    class Box(SearchBox):
+        def draw(self, generator: np.random.Generator, count: int) -> FloatArray:
+            drawn.extend(points := super().draw(generator, count))
+            return points
+
+    def cost(points: FloatArray) -> FloatArray:
+        seen.extend(points.copy())
+        return bowl(points)
+
+    frogs = FrogLeaping(frogs=12, memeplexes=3, random=random, largest_leap=longest)
+    minimise(frogs, cost, Box(BOX.lower, BOX.upper), SearchBudget(6), seed=1)
+    leaps = [k for k, point in enumerate(seen) if not any(np.array_equal(point, other) for other in drawn)]
+    nearest = [np.linalg.norm((np.array(seen[:k]) - seen[k]) / BOX.width, axis=1).min() for k in leaps]
+    assert len(leaps) > 30
+    assert max(nearest) <= longest * (1 + 1e-9)
+
+
 @every
 def test_undefined_costs_are_survived_and_counted(optimiser: Optimiser) -> None:
     bad = 0
