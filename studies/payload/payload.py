@@ -2,14 +2,15 @@
 
 Prints, for each load parameter, its true value, its median standard deviation and how often 95 % intervals hold the
 truth; the same of the load as a body that can exist, nothing known of it, beside the unconstrained estimate of the same
-figures; then how often the right load is accepted and wrong ones are rejected.
+figures; the mass by drive gains that are off as their `gain_std` says, each by itself or all alike; then how often the
+right load is accepted and wrong ones are rejected.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from functools import lru_cache
+from functools import cache
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -26,7 +27,13 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-FIGURES = ("mass", "x", "y", "z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+FIGURES = {
+    "mass [kg]": [0],
+    "centre of mass, worst axis [m]": [1, 2, 3],
+    "Ixx, Iyy, Izz, largest [kg·m²]": [4, 7, 9],
+    "Ixy, Ixz, Iyz, largest [kg·m²]": [5, 6, 8],
+}
+"""Rows of the table of bodies, and their places in mass, centre and inertia."""
 DURATION = 20.0
 RATE = 125.0
 COM, INERTIA = (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)
@@ -42,7 +49,7 @@ def identified(seed: int, known: KnownLoad) -> Payload:
     return identify_payload(*recordings(seed), known)
 
 
-@lru_cache
+@cache
 def recordings(seed: int) -> tuple[Recording, Recording]:
     """Free and loaded."""
     robot_file = load_robot("ur10e")
@@ -79,21 +86,31 @@ def bodies(seeds: int) -> list[str]:
             deviations[kind].append(np.array(std))
     lines = [f"\nunconstrained loads that cannot exist: {impossible} of {seeds}; at the boundary: {boundary}"]
     lines.append(f"error of the loaded run's torque: {np.median(costs):+.2%} median, {max(costs):+.2%} at most")
-    for kind, found in values.items():
-        error = np.array(found) - true
-        held = np.abs(error) <= WITHIN_95_PERCENT * np.array(deviations[kind])
-        lines.append(f"{kind}: RMS error, share of 95 % intervals that hold the truth (all {held.mean():.1%})")
-        for name, rms, share in zip(FIGURES, np.sqrt(np.mean(error**2, axis=0)), held.mean(axis=0), strict=True):
-            lines.append(f"  {name:5} {rms:9.5f} {share:6.0%}")
+    errors = {kind: np.array(found) - true for kind, found in values.items()}
+    rms = [np.sqrt(np.mean(error**2, axis=0)) for error in errors.values()]
+    held = [np.abs(error) <= WITHIN_95_PERCENT * np.array(deviations[kind]) for kind, error in errors.items()]
+    lines.append(
+        "\n| | RMS error, unconstrained | consistent | 95 % intervals that hold the truth, unconstrained | consistent |"
+        "\n|---|---|---|---|---|"
+    )
+    for name, places in FIGURES.items():
+        shares = [np.unique([f"{100 * part.mean():.0f}" for part in each[:, places].T]) for each in held]
+        texts = [" to ".join(sorted({min(one, key=int), max(one, key=int)}, key=int)) + " %" for one in shares]
+        lines.append(f"| {name} | {' | '.join([*(f'{each[places].max():.2g}' for each in rms), *texts])} |")
+    lines.append(f"| all ten | | | {' | '.join(f'{100 * each.mean():.1f} %' for each in held)} |")
     return lines
 
 
 def gain_errors(seeds: int) -> list[str]:
     """The mass by robot files whose gains are wrong as their `gain_std` says, one draw a seed."""
-    file, generator, lines = load_robot("ur10e"), np.random.default_rng(0), []
+    file, generator = load_robot("ur10e"), np.random.default_rng(0)
     relative = np.array([drive.gain_std / abs(drive.gain) for drive in file.robot.drives])
+    lines = [
+        "\n| errors of the gains | load | mass off by, RMS [kg] | its σ, median [kg] | 95 % intervals that hold it |"
+    ]
+    lines.append("|---|---|---|---|---|")
     for kind, count in (("of each joint by itself", len(relative)), ("common to all joints", 1)):
-        errors, deviations = [], []
+        found: dict[str, list[tuple[float, float]]] = {"unconstrained": [], "consistent": []}
         for seed in range(seeds):
             shares = relative * generator.standard_normal(count)
             drives = tuple(
@@ -101,14 +118,17 @@ def gain_errors(seeds: int) -> list[str]:
                 for drive, share in zip(file.robot.drives, shares, strict=True)
             )
             wrong = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
-            load = identify_payload(*recordings(seed), None, wrong).load
-            errors.append(load.standard[MASS] - LOAD.mass)
-            deviations.append(load.standard_deviations(np.eye(10))[MASS])
-        held = np.mean(np.abs(errors) <= WITHIN_95_PERCENT * np.array(deviations))
-        lines.append(
-            f"errors of the gains {kind}: mass off by {np.sqrt(np.mean(np.square(errors))):.3f} kg (RMS), σ "
-            f"{np.median(deviations):.3f} kg, 95 % intervals hold the truth {held:.0%}"
-        )
+            payload = identify_payload(*recordings(seed), None, wrong)
+            load, body = payload.load, payload.consistent
+            if body is None:
+                raise RuntimeError(f"no consistent load, seed {seed}")
+            found["unconstrained"].append((load.standard[MASS], load.standard_deviations(np.eye(10))[MASS]))
+            found["consistent"].append((body.body.mass, body.mass_std))
+        for load_kind, values in found.items():
+            error, sigma = np.array(values).T - [[LOAD.mass], [0.0]]
+            held = np.mean(np.abs(error) <= WITHIN_95_PERCENT * sigma)
+            figures = f"{np.sqrt(np.mean(error**2)):.3f} | {np.median(sigma):.3f} | {100 * held:.0f} %"
+            lines.append(f"| {kind} | {load_kind} | {figures} |")
     return lines
 
 
