@@ -121,7 +121,7 @@ def _commands_apart(
         for name, given in commands.items():
             if len(given.values) != count:
                 raise ImportFileError(
-                    f"has {len(given.values)} samples of {name} beside {count} of the position, and no stamps of them",
+                    f"has {counted(len(given.values), 'sample')} of {name} without stamps, and {count} of the position",
                     where=where,
                     hint="name their time column: --column target_time=NAME",
                 )

@@ -21,6 +21,7 @@ from daq.recording.unit_plausibility import near
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.ranges import SAMPLING_RATE
+from drivers.core.text import counted
 
 COARSE = 0.4
 """Share of the samples that repeat a stamp from which on the clock is coarser than the samples."""
@@ -128,7 +129,9 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
                 where=sample_place(samples, first, where),
                 hint=f"continue the stamps: --repair {UNWRAP}, in Python repair=['{UNWRAP}']",
             )
-        text = f"{UNWRAP}: the counter of the stamps restarted {len(backward)} times, first at sample {first}"
+        text = (
+            f"{UNWRAP}: the counter of the stamps restarted {counted(len(backward), 'time')}, first at sample {first}"
+        )
         samples = replace(samples, time=unwrapped(samples.time), notes=(*samples.notes, Note("warning", text)))
         backward = np.flatnonzero(np.diff(samples.time) < 0) + 1
     if len(backward):
@@ -144,11 +147,11 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
             )
         if SORT not in choices.repair:
             raise ImportFileError(
-                f"time goes backward {len(backward)} times, first by {back:.6g} s",
+                f"time goes backward {counted(len(backward), 'time')}, first by {back:.6g} s",
                 where=sample_place(samples, first, where),
                 hint=f"sort the samples: --repair {SORT}, in Python repair=['{SORT}']",
             )
-        text = f"{SORT}: time went backward {len(backward)} times, first at sample {first} by {back:.6g} s"
+        text = f"{SORT}: time went backward {counted(len(backward), 'time')}, first at sample {first} by {back:.6g} s"
         samples = rows(samples, np.argsort(samples.time, kind="stable"))
         samples = replace(samples, notes=(*samples.notes, Note("warning", text)))
     repeated = np.flatnonzero(np.diff(samples.time) == 0) + 1

@@ -14,6 +14,7 @@ from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, pri
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.terminal import hidden_character
+from drivers.core.text import counted
 from drivers.streams import COMMANDS
 
 _FLOAT_INTEGERS = 2**53
@@ -154,7 +155,7 @@ def _from_array(
     place = f"{where}: {printable(role.name)}"
     if width == 1 and (values.ndim == 1 or (values.ndim == 2 and 1 in values.shape)):
         values = values.reshape(-1, 1)
-    expected = f"the robot has {len(joints)} joints, so (N, {width}) is expected"
+    expected = f"the robot has {counted(len(joints), 'joint')}, so (N, {width}) is expected"
     if array_joints is not None:
         expected = f"the file names {width} joints, so (N, {width}) is expected"
     if values.ndim != 2 or width not in values.shape:
@@ -199,8 +200,8 @@ def _from_columns(
         surplus = [role.name for role in numbered if int(role.number or 0) - first >= len(joints)]
         if surplus:
             raise ImportFileError(
-                f"has {len(numbered)} columns of {quantity}, but the robot has {len(joints)} joints;"
-                f" too many: {listed(surplus)}",
+                f"has {counted(len(numbered), 'column')} of {quantity}, but the robot has "
+                f"{counted(len(joints), 'joint')}; too many: {listed(surplus)}",
                 where=where,
                 hint="is it another robot's file? If not, choose the columns with --column",
             )
@@ -210,7 +211,7 @@ def _from_columns(
         missing = [f"{quantity} {k + first} ({joint})" for k, joint in enumerate(joints) if k not in by_index]
     if missing and quantity != "temperature":
         raise ImportFileError(
-            f"has {len(members)} columns of {quantity}, but the robot has {len(joints)} joints;"
+            f"has {counted(len(members), 'column')} of {quantity}, but the robot has {counted(len(joints), 'joint')};"
             f" missing: {listed(missing)}",
             where=where,
             hint="name them with --column",

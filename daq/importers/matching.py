@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from daq.importers.table import Note, listed, printable
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError
-from drivers.core.text import did_you_mean
+from drivers.core.text import counted, did_you_mean
 
 _SEPARATORS = "_/.:-"
 
@@ -73,7 +73,7 @@ def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool,
         return JointMatch(tuple(range(len(joints))), (Note("warning", f"joints matched by order: {pairs}"),), True)
     missing = [joint for joint in joints if joint not in index]
     if by_order:
-        hint = f"by order needs {len(joints)} joints, the file has {len(names)}"
+        hint = f"by order needs {counted(len(joints), 'joint')}, the file has {len(names)}"
     elif len(names) == len(joints):
         hint = "rename the robot file's joints, or use the file's order with --by-order"
     else:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from daq.importers.naming import REVOLUTE, TIMES, Role, parse_name, parse_unit, split_unit
 from daq.importers.table import listed, printable
 from drivers.core.errors import ImportFileError, UsageError
-from drivers.core.text import did_you_mean
+from drivers.core.text import counted, did_you_mean
 from drivers.core.units import normalised
 
 PLACE = "{}"
@@ -93,7 +93,7 @@ def _chosen_roles(
     whole = role.number is None and role.joint is None and role.quantity not in TIMES
     matches = _called(given, names)
     if len(matches) > 1:
-        raise ImportFileError(f"has {len(matches)} columns called '{printable(given)}'", where=where)
+        raise ImportFileError(f"has {counted(len(matches), 'column')} called '{printable(given)}'", where=where)
     if matches:
         yield _as_chosen(role, matches[0], joints)
     elif PLACE in given:
@@ -108,7 +108,8 @@ def _chosen_roles(
         places = _column_numbers(given, len(names), where)
         if not whole and len(places) > 1:
             raise UsageError(
-                f"{printable(key)}={printable(given)} gives one name to {len(places)} columns", where="--column"
+                f"{printable(key)}={printable(given)} gives one name to {counted(len(places), 'column')}",
+                where="--column",
             )
         for joint_number, place in enumerate(places, start=1):
             name = names[place]

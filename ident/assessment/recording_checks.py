@@ -18,7 +18,7 @@ from daq.recording.quality.stream_quality import StreamQuality, stream_quality
 from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.unit_plausibility import displacement_ratios, other_unit
-from drivers.core.text import percent_text, percentage_text
+from drivers.core.text import counted, percent_text, percentage_text
 from ident.assessment.column_checks import column_checks, jump_checks
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE
 from ident.verdict.catalogue import raised
@@ -126,7 +126,8 @@ def recording_checks(
     for name, quality in streams.items():
         if quality.lost and name != COMMANDS_STREAM:  # a command holds until the next one
             share = quality.lost / (quality.samples + quality.lost)
-            text = f"{of}{name}: {quality.lost} samples lost ({percent_text(share, 2)}) in {len(quality.gaps)} gaps"
+            gaps = counted(len(quality.gaps), "gap")
+            text = f"{of}{name}: {counted(quality.lost, 'sample')} lost ({percent_text(share, 2)}) in {gaps}"
             checks.append(raised("samples-lost", text))
         if quality.duplicates:
             checks.append(raised("repeated-stamps", f"{of}{name}: {quality.duplicates} stamps do not increase"))

@@ -14,7 +14,7 @@ from typing import Any
 
 from drivers.core.errors import UsageError
 from drivers.core.files import path_of
-from drivers.core.text import did_you_mean
+from drivers.core.text import counted, did_you_mean
 from ident.history.arm import ArmHistory, arm_history
 from ident.history.database import add_entries, read_entries
 from ident.history.entry import HistoryEntry, parse_time, read_entry
@@ -164,7 +164,7 @@ class History:
         entries = read_entries(self.path)
         arms = tuple(dict.fromkeys(entry.arm for entry in entries))
         if arm is None and len(arms) != 1:
-            said = f"holds {len(arms)} arms: {', '.join(arms)}" if arms else "holds no results yet"
+            said = f"holds {counted(len(arms), 'arm')}: {', '.join(arms)}" if arms else "holds no results yet"
             hint = "name one: --arm, in Python arm=" if arms else "dynid history add RESULT --history FILE"
             raise UsageError(said, where=str(self.path), hint=hint)
         if arm is not None and arm not in arms:

@@ -114,7 +114,7 @@ def read_commands(
                     given = np.asarray(fields.get(quantity, ()), dtype=np.float64)
                     if len(given) != len(names or joints):
                         raise ImportFileError(
-                            f"has {len(given)} values of {quantity} for {len(names or joints)} joints",
+                            f"has {counted(len(given), 'value')} of {quantity} for {len(names or joints)} joints",
                             where=f"{place}, message {len(logged)}",
                         )
                     values.append(given[list(columns[names])])

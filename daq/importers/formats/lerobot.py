@@ -23,7 +23,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.files import ARRAY_FILE, DATASET_META, check_input, read_text
 from drivers.core.ranges import SAMPLING_RATE
-from drivers.core.text import parsed_json
+from drivers.core.text import counted, parsed_json
 
 INFO = Path("meta", "info.json")
 STATE, ACTION = "observation.state", "action"
@@ -179,7 +179,9 @@ def _array(column: Any) -> FloatArray:
 
 def _rows(array: FloatArray, rows: npt.NDArray[np.bool_], name: str, file: Path) -> FloatArray:
     if len(array) != len(rows):
-        raise ImportFileError(f"has {len(array)} values in {len(rows)} rows", where=f"{file}: {name}")
+        raise ImportFileError(
+            f"has {counted(len(array), 'value')} in {counted(len(rows), 'row')}", where=f"{file}: {name}"
+        )
     return array[rows]
 
 

@@ -18,7 +18,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.files import BAG_FILE, BAG_METADATA, check_input
 from drivers.core.reading_process import Progress
-from drivers.core.text import did_you_mean
+from drivers.core.text import counted, did_you_mean
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"
@@ -90,7 +90,7 @@ def read_rosbag(
     if len(topics) > 1:
         raise _several(topics, where)
     messages = read[0] if len(read) == 1 else _joined(read)
-    notes.append(Note("info", f"topic {printable(messages.topic)}, {len(messages.names)} messages"))
+    notes.append(Note("info", f"topic {printable(messages.topic)}, {counted(len(messages.names), 'message')}"))
     if messages.others:
         text = f"not imported, may hold commanded positions (--column target_position=TOPIC): {listed(messages.others)}"
         notes.append(Note("info", text))
@@ -271,7 +271,7 @@ def _gather(
         given = messages.names[index]
         if len(raw[index]) != len(given):
             raise ImportFileError(
-                f"names {len(given)} joints, but has {len(raw[index])} values of {field}"
+                f"names {counted(len(given), 'joint')}, but has {counted(len(raw[index]), 'value')} of {field}"
                 + (f" (message {first_filled} has them)" if not len(raw[index]) else ""),
                 where=f"{where}, message {index}",
             )

@@ -21,6 +21,7 @@ def lint(robot: str = ROBOT, as_json: bool = JSON) -> None:
     from dataclasses import asdict
 
     from daq.commands.console import print_json
+    from drivers.core.text import counted
     from ident.checks.inertia_lint import lint as look
 
     report = look(robot)
@@ -31,8 +32,8 @@ def lint(robot: str = ROBOT, as_json: bool = JSON) -> None:
     else:
         for finding in report.findings:
             print(finding)
-        notes = len(report.findings) - errors
-        print(f"{report.name}: {report.links} links that move: {errors} errors, {notes} notes")
+        found = f"{counted(errors, 'error')}, {counted(len(report.findings) - errors, 'note')}"
+        print(f"{report.name}: {counted(report.links, 'moving link')}: {found}")
         if report.untrusted:
             print(f"no controller can trust: {', '.join(report.untrusted)}")
     if errors:

@@ -8,6 +8,7 @@ import typer
 
 from daq.commands.help_text import CommandApp, GroupedCommands
 from daq.commands.options import FORCE, JSON, ROBOT
+from drivers.core.text import counted
 
 robot_app = CommandApp("Robot", cls=GroupedCommands, invoke_without_command=True)
 app = CommandApp("Robot")
@@ -123,7 +124,7 @@ def new(
     if arm is None:
         print(f"{written.path}: {written.todo} values are marked TODO")
     else:
-        print(f"{written.path}: {len(arm.joints)} joints, tool at link {arm.tool_link}")
+        print(f"{written.path}: {counted(len(arm.joints), 'joint')}, tool at link {arm.tool_link}")
         if arm.locked:
             print(f"  locked: {', '.join(name for name, _ in arm.locked)}")
         assumed = [name for name, (_, origin) in guess.links.items() if origin != "the URDF's"]

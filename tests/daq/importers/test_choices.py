@@ -153,7 +153,7 @@ def test_repairs_are_made_when_asked_for_and_recorded(tmp_path: Path, robot: Rob
     np.testing.assert_array_equal(content(recording)["torque"], arrays["torque"][keep])
     text = messages(recording)
     assert "warning: drop-nan: 1 of 30 samples dropped, first: sample 4" in text
-    assert "warning: sort: time went backward 1 times, first at sample 20 by 0.008 s" in text
+    assert "warning: sort: time went backward 1 time, first at sample 20 by 0.008 s" in text
     assert "warning: drop-duplicates: 1 of 29 samples dropped, first: sample 9" in text
 
 
@@ -207,4 +207,4 @@ def test_stamps_of_a_counter_that_began_anew_go_on_when_asked(tmp_path: Path, ro
     recording = import_file(path, robot, ImportChoices(repair=frozenset({"unwrap"})))
     time = content(recording)["time"]
     np.testing.assert_allclose(time - time[0], arrays["t"] - arrays["t"][0], atol=1e-5)
-    assert "warning: unwrap: the counter of the stamps restarted 1 times" in messages(recording)
+    assert "warning: unwrap: the counter of the stamps restarted 1 time" in messages(recording)

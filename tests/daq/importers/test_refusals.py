@@ -183,7 +183,7 @@ ARRAYS = [
     Refused(
         "backward",
         npz(t=spoilt(TIME, 9, 0.05), q=Q),
-        "sample 9: time goes backward 1 times, first by 0.014 s.*--repair sort",
+        "sample 9: time goes backward 1 time, first by 0.014 s.*--repair sort",
     ),
     Refused("duplicate", npz(t=spoilt(TIME, 9, TIME[8]), q=Q), "sample 9: 1 of 200 samples repeat.*drop-duplicates"),
     Refused(
