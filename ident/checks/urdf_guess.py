@@ -79,8 +79,9 @@ def _bodies(model: DynamicModel, robot_file: RobotFile) -> tuple[FloatArray, lis
 
 def _truth_link(body: FloatArray) -> TruthLink:
     of_link = body_of(body)
-    xx, xy, xz, yy, yz, zz = of_link.inertia[np.triu_indices(3)].tolist()
-    return TruthLink(mass=of_link.mass, com=of_link.com.tolist(), inertia=(xx, xy, xz, yy, yz, zz))
+    x, y, z = of_link.com
+    xx, xy, xz, yy, yz, zz = of_link.inertia.values()
+    return TruthLink(mass=of_link.mass, com=(x, y, z), inertia=(xx, xy, xz, yy, yz, zz))
 
 
 def _candidates(model: DynamicModel) -> FloatArray:

@@ -118,7 +118,7 @@ def _bodies(arm: ExportedArm, world: ElementTree.Element) -> dict[int, ElementTr
 
 def _inertial(arm: ExportedArm, element: ElementTree.Element, index: int) -> None:
     body = arm.bodies[index]
-    xx, xy, xz, yy, yz, zz = body.inertia[np.triu_indices(3)]
+    xx, xy, xz, yy, yz, zz = body.inertia.values()
     ElementTree.SubElement(
         element,
         "inertial",

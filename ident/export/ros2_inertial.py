@@ -33,8 +33,6 @@ UR_ROLLS = (0.0, _QUARTER, 0.0, 0.0, _QUARTER, -_QUARTER)
 CALIBRATION = 0.05
 """[rad] by which the axes of a calibrated arm may differ from the nominal ones."""
 
-TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-
 
 def ros2_inertial(arm: ExportedArm) -> str:
     """The text of the YAML; links are named as in the package where the arm has its joints and frames."""
@@ -43,11 +41,10 @@ def ros2_inertial(arm: ExportedArm) -> str:
     names = inertial_names(arm)
     masses = {f"{name}_mass": body.mass for name, body in zip(names, arm.bodies, strict=True)}
     centres = {
-        f"{name}_cog": dict(zip("xyz", body.com.tolist(), strict=True))
-        for name, body in zip(names, arm.bodies, strict=True)
+        f"{name}_cog": dict(zip("xyz", body.com, strict=True)) for name, body in zip(names, arm.bodies, strict=True)
     }
     tensors = {
-        name: dict(zip(TENSOR, body.inertia[np.triu_indices(3)].tolist(), strict=True))
+        name: {f"i{element}": value for element, value in body.inertia.items()}
         for name, body in zip(names, arm.bodies, strict=True)
     }
     rotations = {name: {"roll": 0.0, "pitch": 0.0, "yaw": 0.0} for name in names}
@@ -95,9 +92,12 @@ def check_ros2_inertial(arm: ExportedArm, text: str) -> None:
     content: dict[str, Any] = yaml.safe_load(text)["inertia_parameters"]
     for name, body in zip(inertial_names(arm), arm.bodies, strict=True):
         centre, tensor = content["center_of_mass"][f"{name}_cog"], content["tensor"][name]
-        values = [content[f"{name}_mass"], *(centre[axis] for axis in "xyz"), *(tensor[entry] for entry in TENSOR)]
-        expected = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
-        if not np.array_equal(values, expected):
+        values = [
+            content[f"{name}_mass"],
+            *(centre[axis] for axis in "xyz"),
+            *(tensor[f"i{element}"] for element in body.inertia),
+        ]
+        if values != [body.mass, *body.com, *body.inertia.values()]:
             raise ModelError(
                 f"the YAML reads back a different body for {name}; it was not written", where=arm.model.name
             )

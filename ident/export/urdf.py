@@ -70,9 +70,8 @@ def inertial(arm: ExportedArm, index: int) -> ElementTree.Element:
     element = ElementTree.Element("inertial")
     ElementTree.SubElement(element, "origin", xyz=numbers(body.com), rpy="0 0 0")
     ElementTree.SubElement(element, "mass", value=number(body.mass))
-    values = body.inertia[np.triu_indices(3)]
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    ElementTree.SubElement(element, "inertia", {n: number(v) for n, v in zip(names, values, strict=True)})
+    tensor = {f"i{name}": number(value) for name, value in body.inertia.items()}
+    ElementTree.SubElement(element, "inertia", tensor)
     return element
 
 

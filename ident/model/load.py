@@ -93,6 +93,12 @@ class LoadColumns:
     effect: FloatArray  # (b, k) change of the base parameters = effect @ combinations
     no_effect: tuple[str, ...]  # names of the parameters that never act on the torque
 
+    @property
+    def not_identifiable(self) -> list[str]:
+        """Names of the parameters without a column of their own: without effect, or regrouped with others."""
+        alone = {kept for kept, row in zip(self.kept, self.projection, strict=True) if np.count_nonzero(row) == 1}
+        return [f"{symbol}_L" for index, symbol in enumerate(INERTIAL) if index not in alone]
+
 
 def load_effect(model: DynamicModel, base: BaseParameters, robot: Robot) -> FloatArray:
     """(b, 10) change of the base parameters per standard load parameter in the tool frame."""

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from ident.experiments.gains.drive_gains import JointGain
+from ident.experiments.gains.drive_gains import DriveGains, JointGain
 from ident.experiments.gains.up_and_down import SlowGainsResult
-from ident.experiments.load.payload import BaseParameterChange
-from ident.experiments.payload_summary import consistent_load_sentences
-from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult
+from ident.experiments.load.load_estimate import LoadParameter
+from ident.experiments.load.payload import BaseParameterChange, Payload
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure
 from ident.report.figures.panels import IntervalSeries, interval_panel, panel_figure
@@ -23,7 +22,7 @@ IDENTIFIED = {"color": MEASURED, "symbol": "circle", "size": 6}
 COMPARED = {"color": PREDICTED, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}}
 
 
-def payload_page(result: PayloadResult) -> str:
+def payload_page(result: Payload) -> str:
     """The page of a load: the tests in words, its parameters, the body, what it changes."""
     tables = payload_tables(result)
     return rendered(
@@ -35,16 +34,19 @@ def payload_page(result: PayloadResult) -> str:
         known_table=None if result.load_with_known is None else tables[1],
         body_table=None if result.consistent_load is None else tables[-2],
         changes_table=tables[-1],
-        body_sentences=() if result.consistent_load is None else consistent_load_sentences(result.consistent_load),
+        body_sentences=() if result.consistent_load is None else result.consistent_load.sentences,
         changes=_changes_figure(result.base_parameters),
     )
 
 
-def _payload_tiles(result: PayloadResult) -> list[Tile]:
-    mass = next((row for row in result.load if row.name == "M_L"), None)
+def _payload_tiles(result: Payload) -> list[Tile]:
     weighed = DASH if result.known is None else f"{number(result.known.mass)} kg"
     tiles = [
-        Tile("Mass ± 95 % [kg]", with_error(mass.value, mass.std) if mass else DASH, f"known: {weighed}"),
+        Tile(
+            "Mass ± 95 % [kg]",
+            with_error(result.mass.value, result.mass.std) if result.mass else DASH,
+            f"known: {weighed}",
+        ),
         Tile("A load explains the change", _test_word(result.tests.load), _p_value(result.tests.load)),
         Tile("Friction and the rest unchanged", _test_word(result.tests.unchanged), _p_value(result.tests.unchanged)),
     ]
@@ -61,9 +63,9 @@ def _p_value(test: SignificanceTest | None) -> str:
     return "too little data to decide" if test is None else test.p_text
 
 
-def _load_figure(result: PayloadResult) -> Figure | None:
+def _load_figure(result: Payload) -> Figure | None:
     """The load's parameters, a panel per unit."""
-    units = list(dict.fromkeys(row.unit for row in result.load if row.value is not None))
+    units = list(dict.fromkeys(row.unit for row in result.load if isfinite(row.value)))
     if not units:
         return None
     sets = [("identified ± 95 %", result.load, IDENTIFIED)]
@@ -111,7 +113,7 @@ def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
     return panel_figure("changes-plot", [[panel]], caption)
 
 
-def gains_page(result: GainsResult | SlowGainsResult) -> str:
+def gains_page(result: DriveGains | SlowGainsResult) -> str:
     """The page of drive gains: beside those of the robot file, with their intervals, and the text for it."""
     slow = isinstance(result, SlowGainsResult)
     gains, *parameters = gains_tables(result)
@@ -127,7 +129,7 @@ def gains_page(result: GainsResult | SlowGainsResult) -> str:
     )
 
 
-def _gain_tiles(result: GainsResult | SlowGainsResult) -> list[Tile]:
+def _gain_tiles(result: DriveGains | SlowGainsResult) -> list[Tile]:
     identified = sum(isfinite(gain.gain) for gain in result.gains)
     return [
         Tile("Gains identified", str(identified), f"of {len(result.gains)}"),

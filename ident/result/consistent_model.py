@@ -11,7 +11,7 @@ from daq.robot.loader import RobotFile
 from ident.assessment.validation import Fit
 from ident.estimators.feasible.armature import Armature
 from ident.estimators.feasible.consistent import ConsistentParameters
-from ident.estimators.feasible.pseudo_inertia import body_of
+from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
@@ -21,13 +21,10 @@ from ident.simulation.tracking import TrackingError
 from ident.stored import Number, Stored, Value
 
 
-class LinkResult(Stored):
+class LinkResult(Body):
     """A link of the physically consistent model, in the frame of its joint."""
 
     link: str = Field(description="name of the joint that moves it")
-    mass: Value = Field(description="[kg]")
-    com: list[Value] = Field(description="centre of mass [m]", min_length=3, max_length=3)
-    inertia: dict[str, Value] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
     prior: str = Field(description="source of the prior body for what the data leave open")
     identified: float = Field(description="share of its ten parameters that the data determine")
 
@@ -73,7 +70,7 @@ def link_results(model: DynamicModel, consistent: ConsistentParameters) -> list[
     return [
         LinkResult(
             link=name,
-            **body_of(consistent.values[place]).figures,
+            **dict(body_of(consistent.values[place])),
             prior=source,
             identified=float(np.mean(consistent.determined[place])),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from math import nan
 
 import numpy as np
 
@@ -15,11 +15,9 @@ from drivers.core.errors import UsageError
 from drivers.core.options import keywords_of
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.gains.up_and_down import SlowGainsResult, identify_slow_gains
+from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.load.payload import Payload, identify_payload
-from ident.experiments.payload_summary import gains_result, payload_result
-from ident.experiments.schema import ConsistentLoadResult, GainsResult, PayloadResult
 from ident.model.load import KnownLoad
-from ident.model.parameters import MASS
 from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table
 from ident.tasks.arguments import SavedResult, recording_of
@@ -37,7 +35,7 @@ class IdentifiedPayload(SavedResult):
     """The load on an arm's tool, in the tool frame; σ includes noise and the drive gains' uncertainty.
 
     Attributes:
-        estimate: all of its figures.
+        result: all of it, as `payload.json` holds it.
 
     Example:
         >>> import dynid
@@ -51,37 +49,32 @@ class IdentifiedPayload(SavedResult):
 
     FILE = PAYLOAD_FILE
 
-    estimate: Payload
-
-    @cached_property
-    def result(self) -> PayloadResult:
-        """All of it, as `payload.json` holds it."""
-        return payload_result(self.estimate)
+    result: Payload
 
     @property
     def mass(self) -> float:
         """Mass identified without knowledge of the load [kg]; NaN where it is not identifiable."""
-        return float(self.estimate.load.standard[MASS])
+        return nan if self.result.mass is None else self.result.mass.value
 
     @property
     def mass_std(self) -> float:
         """Return its standard deviation σ [kg]."""
-        return float(self.estimate.load.standard_deviations(np.eye(10))[MASS])
+        return nan if self.result.mass is None else self.result.mass.std
 
     @property
     def com(self) -> FloatArray | None:
         """Centre of mass (3,) [m], with known parameters held fixed; None where it is not identifiable."""
-        centre = (self.estimate.with_mass or self.estimate.load).centre
-        return None if centre is None else centre[0]
+        centre = self.result.centre_of_mass
+        return None if centre is None else np.array(centre.value)
 
     @property
     def com_std(self) -> FloatArray | None:
         """Return its standard deviations σ (3,) [m]."""
-        centre = (self.estimate.with_mass or self.estimate.load).centre
-        return None if centre is None else centre[1]
+        centre = self.result.centre_of_mass
+        return None if centre is None else np.array(centre.std)
 
     @property
-    def body(self) -> ConsistentLoadResult | None:
+    def body(self) -> ConsistentLoad | None:
         """The load as a body that can exist: `.body.mass` [kg], `.body.com` [m], `.body.inertia` by element [kg·m²].
 
         With `.mass_std`, `.com_std`, `.inertia_std` and what it costs, as in `payload.json`; None where none was found.
@@ -106,7 +99,7 @@ class IdentifiedPayload(SavedResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the checks."""
-        return self.estimate.warnings
+        return tuple(self.result.warnings)
 
     def _page(self) -> str:
         return payload_page(self.result)
@@ -127,7 +120,7 @@ class IdentifiedGains(SavedResult):
     """Gains of all drives, joint side, sign included; torque = gain · signal.
 
     Attributes:
-        estimate: all of its figures.
+        result: all of it, as `gains.json` holds it.
 
     Example:
         >>> import dynid
@@ -137,17 +130,17 @@ class IdentifiedGains(SavedResult):
 
     FILE = GAINS_FILE
 
-    estimate: DriveGains | SlowGainsResult
+    result: DriveGains | SlowGainsResult
 
     @property
     def values(self) -> FloatArray:
         """Gains (n,) [N·m/A or N·m/V]; NaN where one is not identifiable."""
-        return self.estimate.values
+        return self.result.values
 
     @property
     def std(self) -> FloatArray:
         """Their standard deviations σ (n,), in the same unit."""
-        return np.array([gain.std for gain in self.estimate.gains])
+        return self.result.std
 
     @property
     def gains(self) -> Table:
@@ -162,16 +155,10 @@ class IdentifiedGains(SavedResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the checks."""
-        return tuple(self.estimate.warnings)
+        return tuple(self.result.warnings)
 
     def _page(self) -> str:
         return gains_page(self.result)
-
-    @cached_property
-    def result(self) -> GainsResult | SlowGainsResult:
-        """All of it, as `gains.json` holds it."""
-        estimate = self.estimate
-        return gains_result(estimate) if isinstance(estimate, DriveGains) else estimate
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{row['joint']} {row['gain']:.4g}" for row in self.gains)

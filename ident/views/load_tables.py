@@ -8,8 +8,11 @@ from dataclasses import replace
 from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS
+from ident.experiments.gains.drive_gains import DriveGains
 from ident.experiments.gains.up_and_down import SlowGainsResult
-from ident.experiments.schema import ConsistentLoadResult, GainsResult, LoadParameter, PayloadResult
+from ident.experiments.load.consistent_load import ConsistentLoad
+from ident.experiments.load.load_estimate import LoadParameter
+from ident.experiments.load.payload import Payload
 from ident.linear_algebra.independent_columns import DETERMINED
 from ident.result.tables import Column, Table, table_of, table_of_rows
 from ident.views.number_text import with_error
@@ -17,7 +20,7 @@ from ident.views.number_text import with_error
 VALUE, STD, UNIT = Column("value"), Column("std", label="σ", kind="std"), Column("unit")
 
 
-def payload_tables(result: PayloadResult) -> list[Table]:
+def payload_tables(result: Payload) -> list[Table]:
     """The load without and with what is known of it, as a body, and what it changes."""
     tables = [load_table(result.load)]
     if result.load_with_known is not None:
@@ -37,7 +40,7 @@ def load_table(rows: Sequence[LoadParameter], title: str = "Load") -> Table:
     return table_of(title, columns, rows)
 
 
-def body_table(load: ConsistentLoadResult) -> Table:
+def body_table(load: ConsistentLoad) -> Table:
     """The load as a body that can exist: mass, centre of mass and the inertia about it, and where each is from."""
     axes = zip("xyz", load.com, load.com_std, strict=True)
     rows = [
@@ -52,14 +55,14 @@ def body_table(load: ConsistentLoadResult) -> Table:
     return table_of_rows(title, (Column("name"), VALUE, STD, UNIT, Column("from")), rows)
 
 
-def _origin(load: ConsistentLoadResult, parameter: str) -> str:
+def _origin(load: ConsistentLoad, parameter: str) -> str:
     if parameter in load.held:
         return "known"
     share = load.determined[parameter]
     return "data" if share >= DETERMINED else f"{percent_text(share)} data, else prior"
 
 
-def changes_table(result: PayloadResult) -> Table:
+def changes_table(result: Payload) -> Table:
     """Base parameters that the load changes, as in SR400 Table 4."""
     columns = (
         Column("name"),
@@ -73,7 +76,7 @@ def changes_table(result: PayloadResult) -> Table:
     return table_of("Base parameters that a load changes", columns, result.base_parameters)
 
 
-def gains_tables(result: GainsResult | SlowGainsResult) -> list[Table]:
+def gains_tables(result: DriveGains | SlowGainsResult) -> list[Table]:
     """The gains beside those of the robot file, and the parameters that were identified with them."""
     columns = [
         Column("joint"),

@@ -18,13 +18,12 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.experiments.gains.drive_gains import DriveGains, identify_gains
+from ident.experiments.gains.drive_gains import DriveGains, gain_system, identify_gains
 from ident.experiments.load.payload import identify_payload
-from ident.experiments.payload_summary import payload_sentences
 from ident.experiments.run_pair import LOADED, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import build_model
-from ident.model.load import KnownLoad, load_effect
+from ident.model.load import KnownLoad
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -67,22 +66,20 @@ def slow_motion(seed: int) -> FourierSeries:
     return FourierSeries.from_position_amplitudes(SLOW_DURATION, middle, sine, cosine)
 
 
-def columns_alike(gains: DriveGains) -> FloatArray:
+def columns_alike(free: Recording, loaded: Recording) -> FloatArray:
     """Gains (n,) by the smallest singular vector of the whole matrix, columns scaled to unit length."""
-    pair = gains.pair
+    system, by_first_pass = gain_system(free, loaded, KnownLoad(LOAD.mass), None, None)
+    pair, effects = system.pair, system.parts
     dof, count = pair.model.dof, pair.base.count
-    if not np.all(np.isfinite(gains.values)):
+    if len(system.used) < dof:
         return np.full(dof, np.nan)
-    effect = load_effect(pair.model, pair.base, pair.robot_file.robot)
-    effects = np.column_stack([gains.columns.effect, effect @ gains.known.values])
-    size = count + effects.shape[1]
-    columns = [*gains.active, *range(count, size)]
+    columns = list(system.layout)
     blocks = []
     for joint in range(dof):
         for run_index, run in enumerate(pair.runs):
             of_run = run.reduction.joints[joint]
             wide = widened(of_run.columns, count, effects if run_index == LOADED else 0.0 * effects, np.zeros(count))
-            rows = of_run.factor @ wide / gains.noise[joint] / abs(gains.values[joint])
+            rows = of_run.factor @ wide / system.noise[joint] / system.relative_gains[joint]
             block = np.zeros((len(rows), len(columns) + dof))
             block[:, : len(columns)] = -rows[:, columns]
             block[:, len(columns) + joint] = rows[:, -1]
@@ -90,8 +87,6 @@ def columns_alike(gains: DriveGains) -> FloatArray:
     factor = triangular(np.vstack(blocks))
     lengths = np.linalg.norm(factor, axis=0)
     vector = np.linalg.svd(factor / lengths)[2][-1] / lengths
-    # The torques of the pair were made with gains near the identified ones.
-    by_first_pass = gains.values / gains.relative_to_pair
     return np.asarray(by_first_pass * vector[len(columns) :] / vector[len(columns) - 1])
 
 
@@ -100,27 +95,29 @@ def main(seeds: int = 20) -> None:
     names = load_robot("ur10e").robot.joint_names
     true = np.array([load_robot("ur10e").robot.drive(name).gain for name in names]) * np.array(HIDDEN)
     print(f"the file's gains off by up to 10 %; load {LOAD.mass:g} kg; {seeds} seeds; errors in per cent")
-    gains = [identify_gains(*record(HIDDEN, seed), KnownLoad(LOAD.mass)) for seed in range(seeds)]
     print(f"\nexciting motion, two runs of {DURATION:g} s")
-    print_errors(names, true, gains)
-    slow = [
-        identify_gains(*runs(HIDDEN, slow_motion(seed), SLOW_DURATION, SLOW_RATE, seed), KnownLoad(LOAD.mass))
-        for seed in range(seeds)
-    ]
+    print_errors(names, true, [both_ways(*record(HIDDEN, seed)) for seed in range(seeds)])
     print(f"\nslowly up and down, two runs of {SLOW_DURATION:g} s")
-    print_errors(names, true, slow)
+    slow = [runs(HIDDEN, slow_motion(seed), SLOW_DURATION, SLOW_RATE, seed) for seed in range(seeds)]
+    print_errors(names, true, [both_ways(*pair) for pair in slow])
     wrong = identify_payload(*record((1 / 1.1,) * 6, 0), KnownLoad(LOAD.mass))
     print("\nall gains of the file 10 % too high:")
-    for line in (*payload_sentences(wrong), *(f"warning: {warning}" for warning in wrong.warnings)):
+    for line in (*wrong.sentences, *(f"warning: {warning}" for warning in wrong.warnings)):
         print(f"  {line}")
 
 
-def print_errors(names: tuple[str, ...], true: FloatArray, results: list[DriveGains]) -> None:
+def both_ways(free: Recording, loaded: Recording) -> tuple[DriveGains, FloatArray]:
+    """The gains, and those by total least squares over all columns."""
+    return identify_gains(free, loaded, KnownLoad(LOAD.mass)), columns_alike(free, loaded)
+
+
+def print_errors(names: tuple[str, ...], true: FloatArray, found: list[tuple[DriveGains, FloatArray]]) -> None:
     """A line for each joint; seeds in which its gain got no value are left out (all columns: any gain)."""
+    results = [gains for gains, _ in found]
     error = np.array([100.0 * (each.values / true - 1.0) for each in results])
     held = np.array([np.abs(each.values - true) <= WITHIN_95_PERCENT * each.std for each in results])
     std = np.array([100.0 * each.std / np.abs(each.values) for each in results])
-    alike = np.array([100.0 * (columns_alike(each) / true - 1.0) for each in results])
+    alike = np.array([100.0 * (others / true - 1.0) for _, others in found])
     print(f"{'joint':20} told   mean    RMS  worst  σ told   held   columns alike: mean, RMS")
     for i, name in enumerate(names):
         known = np.isfinite(error[:, i])

@@ -19,11 +19,13 @@ import numpy as np
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
+from ident.experiments.load.load_estimate import LoadEstimate, estimate_load, identify_separately
 from ident.experiments.load.payload import Payload, identify_payload
+from ident.experiments.run_pair import RunPair, prepare_pair
 from ident.model.dynamic_model import build_model
-from ident.model.load import KnownLoad, moved_origin
-from ident.model.parameters import MASS
+from ident.model.load import KnownLoad, load_effect, moved_origin
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
@@ -59,6 +61,13 @@ def recordings(seed: int) -> tuple[Recording, Recording]:
     return free, simulate_recording(loaded, motion, DURATION, seed=2 * seed + 1, rate=RATE)
 
 
+def unconstrained_load(pair: RunPair) -> LoadEstimate:
+    """The load with its covariances, nothing known of it."""
+    separate, grams = identify_separately(pair)
+    effect = load_effect(pair.model, pair.base, pair.robot_file.robot)
+    return estimate_load(pair, grams, effect, separate.weights, None)
+
+
 def bodies(seeds: int) -> list[str]:
     """Centre of mass and inertia about it, of the unconstrained load and of the one that can exist; noise alone."""
     true = np.array([LOAD.mass, *COM, *INERTIA])
@@ -70,19 +79,19 @@ def bodies(seeds: int) -> list[str]:
         drives = tuple(drive.model_copy(update={"gain_std": None}) for drive in file.robot.drives)
         certain = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
         payload = identify_payload(*recordings(seed), None, certain)
-        load, body = payload.consistent, body_of(payload.load.standard)
+        unconstrained = unconstrained_load(prepare_pair(*recordings(seed), read_joint_signals, certain))
+        load, body = payload.consistent_load, body_of(unconstrained.standard)
         if load is None:
             raise RuntimeError(f"no consistent load, seed {seed}")
-        impossible += int(np.linalg.eigvalsh(pseudo_inertia(payload.load.standard))[0] <= 0)
+        impossible += int(np.linalg.eigvalsh(pseudo_inertia(unconstrained.standard))[0] <= 0)
         boundary += load.on_boundary
-        costs.append(load.consistent_errors[1] / load.errors[1] - 1)
-        to_centre = moved_origin(-body.com)
-        spread = payload.load.standard_deviations(to_centre)
-        for kind, one, std in (
+        costs.append(load.errors[1].consistent / load.errors[1].unconstrained - 1)
+        spread = unconstrained.standard_deviations(moved_origin(-np.array(body.com)))
+        for kind, of, std in (
             ("unconstrained", body, [spread[9], *spread[6:9] / body.mass, *spread[:6]]),
-            ("can exist", load.body, [load.mass_std, *load.com_std, *load.inertia_std]),
+            ("can exist", load, [load.mass_std, *load.com_std, *load.inertia_std.values()]),
         ):
-            values[kind].append(np.array([one.mass, *one.com, *one.inertia[np.triu_indices(3)]]))
+            values[kind].append(np.array([of.mass, *of.com, *of.inertia.values()]))
             deviations[kind].append(np.array(std))
     lines = [f"\nunconstrained loads that cannot exist: {impossible} of {seeds}; at the boundary: {boundary}"]
     lines.append(f"error of the loaded run's torque: {np.median(costs):+.2%} median, {max(costs):+.2%} at most")
@@ -119,11 +128,11 @@ def gain_errors(seeds: int) -> list[str]:
             )
             wrong = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
             payload = identify_payload(*recordings(seed), None, wrong)
-            load, body = payload.load, payload.consistent
-            if body is None:
-                raise RuntimeError(f"no consistent load, seed {seed}")
-            found["unconstrained"].append((load.standard[MASS], load.standard_deviations(np.eye(10))[MASS]))
-            found["consistent"].append((body.body.mass, body.mass_std))
+            body = payload.consistent_load
+            if body is None or payload.mass is None:
+                raise RuntimeError(f"no load, seed {seed}")
+            found["unconstrained"].append((payload.mass.value, payload.mass.std))
+            found["consistent"].append((body.mass, body.mass_std))
         for load_kind, values in found.items():
             error, sigma = np.array(values).T - [[LOAD.mass], [0.0]]
             held = np.mean(np.abs(error) <= WITHIN_95_PERCENT * sigma)
@@ -135,15 +144,15 @@ def gain_errors(seeds: int) -> list[str]:
 def main(seeds: int = 40) -> None:
     """Print the tables."""
     results = [identified(seed, LOAD) for seed in range(seeds)]
-    values = np.array([each.load.values for each in results])
-    std = np.array([np.sqrt(np.diag(each.load.covariance)) for each in results])
+    values, std = (
+        np.array([[getattr(row, field) for row in each.load] for each in results]) for field in ("value", "noise_std")
+    )
     held = np.abs(values - LOAD.values) <= WITHIN_95_PERCENT * std
-    columns = results[0].load.columns
     print(f"{'':6} {'true':>9} {'mean':>9} {'σ':>9} {'held':>6}   ({seeds} seeds; noise alone, gains as in the file)")
-    for i, name in enumerate(columns.names):
+    for i, row in enumerate(results[0].load):
         print(
-            f"{name:6} {LOAD.values[i]:9.4f} {values[:, i].mean():9.4f} {np.median(std[:, i]):9.4f} "
-            f"{held[:, i].mean():6.0%}   {columns.units[i]}"
+            f"{row.name:6} {LOAD.values[i]:9.4f} {values[:, i].mean():9.4f} {np.median(std[:, i]):9.4f} "
+            f"{held[:, i].mean():6.0%}   {row.unit}"
         )
     print(f"all    {held.mean():36.1%}")
     print("\n".join(bodies(seeds)))

@@ -13,8 +13,9 @@ from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
+    from ident.experiments.gains.drive_gains import DriveGains
     from ident.experiments.gains.up_and_down import SlowGainsResult
-    from ident.experiments.schema import GainsResult, PayloadResult
+    from ident.experiments.load.payload import Payload
 
 app = CommandApp("Identify")
 
@@ -69,10 +70,9 @@ def identify_drive_gains(
     print_files(folder, GAINS_FILE)
 
 
-def _print_load(result: PayloadResult, *, verbose: bool) -> None:
+def _print_load(result: Payload, *, verbose: bool) -> None:
     """The load as a body, or its parameters, and the warnings; with `verbose` every table and test."""
     from ident.commands.printing.result import print_tables
-    from ident.experiments.payload_summary import consistent_load_sentences
     from ident.views.load_tables import body_table, load_table, payload_tables
 
     body, warnings = result.consistent_load, [f"warning: {warning}" for warning in result.warnings]
@@ -82,18 +82,18 @@ def _print_load(result: PayloadResult, *, verbose: bool) -> None:
         return
     print(f"delay: {result.delay.note}\n{result.frame}")
     print_tables(payload_tables(result))
-    sentences = [*(() if body is None else consistent_load_sentences(body)), *result.sentences]
+    sentences = [*(() if body is None else body.sentences), *result.sentences]
     print("\n".join(["", *sentences, *warnings]))
 
 
-def _print_gains(result: GainsResult | SlowGainsResult, *, verbose: bool) -> None:
+def _print_gains(result: DriveGains | SlowGainsResult, *, verbose: bool) -> None:
     """The gains and the text for the robot file; with `verbose` the parameters that were identified with them."""
     from ident.commands.printing.result import print_tables
-    from ident.experiments.schema import GainsResult
+    from ident.experiments.gains.drive_gains import DriveGains
     from ident.views.load_tables import gains_tables
 
     condition, tables = "", gains_tables(result)
-    if verbose and isinstance(result, GainsResult):
+    if verbose and isinstance(result, DriveGains):
         print(f"delay: {result.delay.note}")
         condition = f"condition {result.condition:.3g}, "
     print_tables(tables if verbose else [replace(tables[0], title="")])

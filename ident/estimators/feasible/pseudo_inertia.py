@@ -11,13 +11,12 @@ the principal moments are contained in it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from ident.model.parameters import INERTIAL
+from ident.stored import Stored, Value
 
 INERTIA_ELEMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Elements of an inertia, in the order of the ten standard parameters."""
@@ -58,19 +57,12 @@ def standard_parameters(pseudo: FloatArray) -> FloatArray:
     return np.concatenate([inertia[..., *np.triu_indices(3)], pseudo[..., :3, 3], pseudo[..., 3:, 3]], axis=-1)
 
 
-@dataclass(frozen=True)
-class Body:
+class Body(Stored):
     """A rigid body in the frame of its link."""
 
-    mass: float  # [kg]
-    com: FloatArray  # (3,) centre of mass [m]
-    inertia: FloatArray  # (3, 3) about the centre of mass [kg·m²]
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """The fields of a body in a result: mass, centre of mass as a list, inertia by element."""
-        inertia = dict(zip(INERTIA_ELEMENTS, self.inertia[np.triu_indices(3)].tolist(), strict=True))
-        return {"mass": self.mass, "com": self.com.tolist(), "inertia": inertia}
+    mass: Value = Field(description="[kg]")
+    com: list[Value] = Field(description="centre of mass [m]", min_length=3, max_length=3)
+    inertia: dict[str, Value] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
 
 
 def body_of(link: FloatArray) -> Body:
@@ -79,4 +71,6 @@ def body_of(link: FloatArray) -> Body:
     mass = float(pseudo[3, 3])
     com = pseudo[:3, 3] / mass
     central = pseudo[:3, :3] - mass * np.outer(com, com)
-    return Body(mass, com, np.trace(central) * np.eye(3) - central)
+    inertia = np.trace(central) * np.eye(3) - central
+    elements = dict(zip(INERTIA_ELEMENTS, inertia[np.triu_indices(3)].tolist(), strict=True))
+    return Body(mass=mass, com=com.tolist(), inertia=elements)

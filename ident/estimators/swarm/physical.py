@@ -120,7 +120,7 @@ def physical_values(model: DynamicModel, standard: FloatArray) -> FloatArray:
     for link in range(len(model.joints)):
         block = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
         body = body_of(standard[block])
-        values[block] = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
+        values[block] = [body.mass, *body.com, *body.inertia.values()]
     return values
 
 

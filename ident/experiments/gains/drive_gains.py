@@ -22,8 +22,7 @@ contain those of the gains.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, computed_field
@@ -35,6 +34,7 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percentage_text
 from drivers.core.units import common_unit
+from ident.assessment.delay.delay import DelaySearch
 from ident.experiments.gains.gain_system import (
     GainSystem,
     jackknife_moves,
@@ -45,10 +45,11 @@ from ident.experiments.gains.gain_system import (
     torques_by,
 )
 from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepare_pair
-from ident.model.load import KnownLoad, LoadColumns
+from ident.model.load import KnownLoad
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import jackknife_covariance
 from ident.regression.options import SIGNIFICANT_RSD
+from ident.result.units import parameter_unit
 from ident.stored import Number, Real, Stored
 
 LEAST_GAP = 2.0
@@ -112,51 +113,21 @@ class EstimatedValue(Stored):
 
 
 class GainsFigures(Stored):
-    """What both identifications of gains say, as `gains.json` holds it."""
+    """What both identifications of gains give, as `gains.json` holds it."""
 
     kind: str
     robot: str
     runs: list[str] = Field(description="free, loaded")
-    signal: str
-    unit: str
+    signal: str = Field(description='recorded motor signal: "current" or "voltage"')
+    unit: str = Field(description="of the gains")
     known: KnownLoad
-    load: list[EstimatedValue]
-    gap: Number
+    gains: Sequence[JointGain] = Field(description="one per joint")
+    load: list[EstimatedValue] = Field(description="estimated load parameters; null where the motions do not show one")
+    gap: Number = Field(
+        description="second-smallest over smallest singular value; the null vector is sure where it is large"
+    )
     robot_file_text: str
     warnings: list[str]
-
-
-@dataclass(frozen=True)
-class DriveGains:
-    """Gains of all drives, from two runs."""
-
-    pair: RunPair  # the runs, torques by the gains of a first pass
-    relative_to_pair: FloatArray  # (n,) identified gains over those of that pass; nan where they are not identifiable
-    signal: str  # recorded motor signal: "current" or "voltage"
-    known: KnownLoad  # the load
-    gains: tuple[GainEstimate, ...]  # one per joint
-    covariance: FloatArray  # (n, n) of the gains
-    active: tuple[int, ...]  # base columns that were estimated
-    # parameters, parameter_std: (b,) base parameters, the gains' uncertainty in their deviations; nan where they were
-    # not estimated
-    parameters: FloatArray
-    parameter_std: FloatArray
-    columns: LoadColumns  # estimated load parameters
-    # load, load_std: (k,) of it; nan where the motions do not show it
-    load: FloatArray
-    load_std: FloatArray
-    # largest over second-smallest singular value of what the model's columns leave of the motor signals
-    condition: float
-    gap: float  # second-smallest over smallest one; the null vector is sure where it is large
-    # blocks, block_length: of the jackknife
-    blocks: int
-    block_length: int
-    warnings: tuple[str, ...]  # for the user
-
-    @property
-    def robot(self) -> Robot:
-        """The robot file's content."""
-        return self.pair.robot_file.robot
 
     @property
     def values(self) -> FloatArray:
@@ -164,14 +135,26 @@ class DriveGains:
         return np.array([gain.gain for gain in self.gains])
 
     @property
-    def noise(self) -> FloatArray:
-        """(n,) standard deviation of each filtered motor signal about the model [A or V]."""
-        return np.array([gain.noise for gain in self.gains])
-
-    @property
     def std(self) -> FloatArray:
         """(n,) their standard deviations."""
         return np.array([gain.std for gain in self.gains])
+
+
+class DriveGains(GainsFigures):
+    """Gains of all drives from exciting motions."""
+
+    kind: Literal["gains"] = "gains"
+    gains: list[GainEstimate]
+    covariance: list[list[Number]] = Field(description="(n, n) of the gains")
+    base_parameters: list[EstimatedValue] = Field(
+        description="the gains' uncertainty in their deviations; null where they were not estimated"
+    )
+    condition: Number = Field(
+        description="largest over second-smallest singular value of what the model's columns leave of the signals"
+    )
+    delay: DelaySearch
+    blocks: int = Field(description="of the jackknife")
+    block_length: int = Field(description="samples per block")
 
 
 def identify_gains(
@@ -194,23 +177,29 @@ def identify_gains(
         DataError: different arms, no motor signal, or a known load that the motions do not show.
         IdentificationError: no gain is identifiable.
     """
+    system, gains = gain_system(free, loaded, known, robot_file, delay)
+    grams = system_blocks(system)
+    covariance = jackknife_covariance(jackknife_moves(system, grams))
+    drives = _gains(system, known, gains, covariance, grams)
+    warnings = [*pair_warnings(system.pair, (free, loaded)), *_warnings(drives, system)]
+    return drives.model_copy(update={"warnings": warnings})
+
+
+def gain_system(
+    free: Recording, loaded: Recording, known: KnownLoad, robot_file: RobotFile | None, delay: float | None
+) -> tuple[GainSystem, FloatArray]:
+    """The solved system of two runs, and the gains (n,) by which their torques were made."""
     robot_file = free.robot() if robot_file is None else robot_file
     robot = robot_file.robot
-    signal = signal_of(robot)
     # A first pass finds gains good enough to search the delay and the residuals' memory with.
     gains = np.array([robot.drive(name).gain or 1.0 for name in robot.joint_names])
     first = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay or 0.0), known)
     gains = gains * np.where(np.isfinite(first.relative_gains), first.relative_gains, 1.0)
-    system = solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay), known)
-    grams = system_blocks(system)
-    moves = jackknife_moves(system, grams)
-    covariance = jackknife_covariance(moves)
-    drives = _gains(system, known, signal, gains, covariance, grams)
-    return replace(drives, warnings=tuple(_warnings(drives, (free, loaded))))
+    return solve_gains(prepare_pair(free, loaded, torques_by(gains), robot_file, delay), known), gains
 
 
 def _gains(
-    system: GainSystem, known: KnownLoad, signal: str, gains: FloatArray, covariance: FloatArray, grams: BlockGrams
+    system: GainSystem, known: KnownLoad, gains: FloatArray, covariance: FloatArray, grams: BlockGrams
 ) -> DriveGains:
     pair, columns = system.pair, system.columns
     robot, count, dof = pair.robot_file.robot, pair.base.count, pair.model.dof
@@ -239,35 +228,37 @@ def _gains(
     correlation[within] = covariance[within] / np.outer(deviations[identifiable], deviations[identifiable])
     angles = own_angles(system)
     identified = gains * system.relative_gains
+    signal = signal_of(robot)
+    estimates = [
+        GainEstimate(
+            joint=name,
+            gain=float(identified[joint]),
+            std=float(deviations[joint]),
+            file_gain=robot.drive(name).gain,
+            angle_degrees=float(angles[joint]),
+            **_most_correlated(correlation[joint], joint, names, others),
+            noise=float(system.noise[joint] / abs(gains[joint])),
+        )
+        for joint, name in enumerate(robot.joint_names)
+    ]
+    units = [parameter_unit(pair.model, column) for column in pair.base.columns]
     return DriveGains(
-        pair=pair,
-        relative_to_pair=system.relative_gains,
+        robot=robot.name,
+        runs=[run.label for run in pair.runs],
         signal=signal,
+        unit=gain_unit(signal, robot),
         known=known,
-        gains=tuple(
-            GainEstimate(
-                joint=name,
-                gain=float(identified[joint]),
-                std=float(deviations[joint]),
-                file_gain=robot.drive(name).gain,
-                angle_degrees=float(angles[joint]),
-                **_most_correlated(correlation[joint], joint, names, others),
-                noise=float(system.noise[joint] / abs(gains[joint])),
-            )
-            for joint, name in enumerate(robot.joint_names)
-        ),
-        covariance=covariance[:dof, :dof],
-        active=tuple(i for i in estimated if i < count),
-        parameters=values[:count],
-        parameter_std=spread[:count],
-        columns=columns,
-        load=values[count:],
-        load_std=spread[count:],
+        gains=estimates,
+        covariance=covariance[:dof, :dof].tolist(),
+        base_parameters=estimated_values(pair.base.names, units, values[:count], spread[:count]),
+        load=estimated_values(columns.names, columns.units, values[count:], spread[count:]),
         condition=system.solution.condition,
         gap=system.solution.gap,
+        delay=pair.delay,
         blocks=grams.count,
         block_length=grams.length,
-        warnings=(),
+        robot_file_text=drives_text(robot, signal, estimates),
+        warnings=[],
     )
 
 
@@ -296,9 +287,9 @@ def left_out_gains(gains: Sequence[JointGain]) -> list[str]:
     ]
 
 
-def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
-    warnings = pair_warnings(drives.pair, recordings)
-    if _alone_share(drives.pair) > SINGLE_JOINT_SHARE:
+def _warnings(drives: DriveGains, system: GainSystem) -> list[str]:
+    warnings, base = [], system.pair.base
+    if _alone_share(system.pair) > SINGLE_JOINT_SHARE:
         warnings.append("mostly one joint moves alone, and static friction holds the others: try --up-and-down")
     for gain in drives.gains:
         if not np.isfinite(gain.gain):
@@ -322,12 +313,12 @@ def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> li
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")
     warnings += left_out_gains(drives.gains)
-    if drives.gap < LEAST_GAP:
+    if system.solution.gap < LEAST_GAP:
         warnings.append(
-            f"the gains are poorly determined: singular values {drives.gap:.1f} times apart, another set of gains and "
-            "inertias fits nearly as well; record a richer motion or a heavier load"
+            f"the gains are poorly determined: singular values {system.solution.gap:.1f} times apart, another set of "
+            "gains and inertias fits nearly as well; record a richer motion or a heavier load"
         )
-    unexcited = [drives.pair.base.names[i] for i in range(drives.pair.base.count) if i not in drives.active]
+    unexcited = [name for column, name in enumerate(base.names) if column not in system.layout]
     if unexcited:
         warnings.append(f"the motions do not excite {', '.join(unexcited)}: they get no value")
     return warnings

@@ -82,16 +82,6 @@ class SlowGainsResult(GainsFigures):
     kind: Literal["gains-up-and-down"] = "gains-up-and-down"
     gains: list[SlowGain]
 
-    @property
-    def values(self) -> FloatArray:
-        """(n,) gains."""
-        return np.array([gain.gain for gain in self.gains])
-
-    @property
-    def std(self) -> FloatArray:
-        """(n,) their standard deviations."""
-        return np.array([gain.std for gain in self.gains])
-
 
 @dataclass(frozen=True)
 class _JointRows:

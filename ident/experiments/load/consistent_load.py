@@ -7,17 +7,19 @@ that carries the load, then is so too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
+from drivers.core.text import percent_text
 from ident.estimators.feasible.consistent import FeasibleFit, bounded_precision, cost_test, feasible_fit
 from ident.estimators.feasible.interior_point import BoolArray
 from ident.estimators.feasible.prior import can_exist, link_priors, uniform_ball
 from ident.estimators.feasible.problem import build_problem, with_load
-from ident.estimators.feasible.pseudo_inertia import Body, body_of
+from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS, Body, body_of
 from ident.experiments.load.load_estimate import LoadEstimate, relative_error
 from ident.experiments.run_pair import FREE, LOADED, RunPair
 from ident.linear_algebra.triangular import triangular
@@ -26,6 +28,7 @@ from ident.model.parameters import INERTIAL, MASS
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.regression.systematic_errors import gain_covariances
+from ident.stored import Real, Stored
 
 LEAST_MASS = 1e-3
 """[kg] of the assumed load where no mass was identified."""
@@ -33,27 +36,56 @@ LEAST_MASS = 1e-3
 LOAD_SIZE = len(INERTIAL)
 
 
-@dataclass(frozen=True)
-class ConsistentLoad:
-    """A load that can exist, in the tool frame."""
+class RunError(Stored):
+    """Relative error ‖τ − Wx‖/‖τ‖ of the torque in a run."""
 
-    body: Body  # mass, centre of mass and inertia about it
-    # [kg]; nan where the data do not determine it, 0 where it is known. So all deviations: noise and gains.
-    mass_std: float
-    com_std: FloatArray  # (3,) [m]
-    inertia_std: FloatArray  # (6,) of xx, xy, xz, yy, yz, zz [kg·m²]
-    # (10,) share of each standard parameter that the data determine; the rest comes from the prior
-    determined: FloatArray
-    known: BoolArray  # (10,) which were held fixed
-    rounded: bool  # whether the known inertia is not that of a body and was estimated in its place
-    arm: FloatArray  # (p,) standard parameters of the arm without the load
-    loaded_arm: FloatArray  # (10·links,) inertial ones of its links with it
-    boundary: tuple[int, ...]  # indices of the links that the conditions hold near the boundary
-    on_boundary: bool  # whether the load lies there
-    # whether the rise in the sum of squares is that of noise; None where no deviation is known
-    test: SignificanceTest | None
-    errors: tuple[float, float]  # relative errors of the torque of (free, loaded) run, unconstrained
-    consistent_errors: tuple[float, float]  # the same of the consistent model
+    run: str
+    unconstrained: Real
+    consistent: Real
+
+
+class LinkBody(Body):
+    """A link of the arm with the load, in the frame of its joint."""
+
+    link: str
+
+
+class ConsistentLoad(Body):
+    """A load that can exist, on an arm whose links can exist, in the tool frame; σ includes noise and gains."""
+
+    mass_std: Real = Field(description="[kg]; 0 where known, null where the data do not determine it")
+    com_std: list[Real] = Field(description="[m]")
+    inertia_std: dict[str, Real] = Field(description="[kg·m²]")
+    determined: dict[str, float] = Field(
+        description="share of each standard parameter that the data determine; the rest comes from the prior"
+    )
+    held: list[str] = Field(description="standard parameters held at known values")
+    rounded: bool = Field(description="the known inertia is not that of a body and was estimated in its place")
+    on_boundary: bool = Field(description="the condition that it can exist holds it")
+    boundary_links: list[str] = Field(description="links that the condition holds")
+    cost: SignificanceTest | None = Field(description="rise in the sum of squares over the unconstrained estimate")
+    errors: list[RunError]
+    links: list[LinkBody] = Field(description="the arm with the load: its last link carries it")
+
+    @property
+    def sentences(self) -> list[str]:
+        """Return what it costs that load and links can exist."""
+        errors = "; ".join(
+            f"{error.run}: {percent_text(error.unconstrained)} unconstrained, "
+            f"{percent_text(error.consistent)} consistent"
+            for error in self.errors
+        )
+        sentences = [f"relative error of the torque: {errors}"]
+        if self.cost is not None:
+            verdict = "explains the runs as well" if self.cost.passed else "does not explain the runs as well"
+            sentences.append(
+                f"a physically consistent load on consistent links {verdict} as the unconstrained estimate (χ² = "
+                f"{self.cost.statistic:.1f} with {self.cost.freedom} degrees of freedom, {self.cost.p_text})"
+            )
+        held = ["the load"] * self.on_boundary + self.boundary_links
+        if held:
+            sentences.append(f"on the boundary of physical consistency: {', '.join(held)}")
+        return sentences
 
 
 def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) -> ConsistentLoad | None:
@@ -91,29 +123,34 @@ def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) 
         return None
     fit = independent
     arm, own = fit.values[:-LOAD_SIZE], fit.values[-LOAD_SIZE:]
-    links = len(pair.model.joints)
-    loaded_arm = arm[: LOAD_SIZE * links].copy()
-    carrier = slice(LOAD_SIZE * pair.model.tool_link, LOAD_SIZE * (pair.model.tool_link + 1))
-    loaded_arm[carrier] += moved_origin(np.array(robot_file.robot.workspace.tool)) @ own
+    names = pair.model.link_names
+    links = arm[: LOAD_SIZE * len(names)].reshape(-1, LOAD_SIZE).copy()
+    links[pair.model.tool_link] += moved_origin(np.array(robot_file.robot.workspace.tool)) @ own
     free_values = np.zeros(base.count + len(load.columns.names))
     free_values[list(estimate.active)] = estimate.values
     effect = load_effect(pair.model, base, robot_file.robot)
-    deviations = np.maximum(*(_deviations(fitted, body_of(own), fixed) for fitted in (independent, common)))
+    body = body_of(own)
+    deviations = np.maximum(*(_deviations(fitted, body, fixed) for fitted in (independent, common)))
+    errors = zip(
+        pair.runs,
+        _errors(pair, free_values[: base.count], load.columns.effect @ free_values[base.count :]),
+        _errors(pair, base.projection @ arm, effect @ own),
+        strict=True,
+    )
+    parameters = [f"{symbol}_L" for symbol in INERTIAL]
     return ConsistentLoad(
-        body=body_of(own),
+        **dict(body),
         mass_std=float(deviations[MASS]),
-        com_std=deviations[list(FIRST_MOMENTS)] / own[MASS],
-        inertia_std=deviations[:6],
-        determined=fit.determined[-LOAD_SIZE:],
-        known=fixed,
+        com_std=(deviations[list(FIRST_MOMENTS)] / own[MASS]).tolist(),
+        inertia_std=dict(zip(INERTIA_ELEMENTS, deviations[:6].tolist(), strict=True)),
+        determined=dict(zip(parameters, fit.determined[-LOAD_SIZE:].tolist(), strict=True)),
+        held=[name for name, known_value in zip(parameters, fixed, strict=True) if known_value],
         rounded=rounded,
-        arm=arm,
-        loaded_arm=loaded_arm,
-        boundary=tuple(link for link in fit.boundary if link < links),
-        on_boundary=links in fit.boundary,
-        test=cost_test(fit, estimate),
-        errors=_errors(pair, free_values[: base.count], load.columns.effect @ free_values[base.count :]),
-        consistent_errors=_errors(pair, base.projection @ arm, effect @ own),
+        on_boundary=len(names) in fit.boundary,
+        boundary_links=[names[link] for link in fit.boundary if link < len(names)],
+        cost=cost_test(fit, estimate),
+        errors=[RunError(run=run.label, unconstrained=error, consistent=own_error) for run, error, own_error in errors],
+        links=[LinkBody(link=name, **dict(body_of(link))) for name, link in zip(names, links, strict=True)],
     )
 
 
@@ -153,7 +190,7 @@ def _deviations(fit: FeasibleFit, body: Body, fixed: BoolArray) -> FloatArray:
 
     About the centre of mass, to first order, the inertia does not depend on where the centre is.
     """
-    to_centre = moved_origin(-body.com)
+    to_centre = moved_origin(-np.array(body.com))
     open_ones = ~fixed & ~np.isfinite(fit.std[-LOAD_SIZE:])
     spread = np.linalg.norm(to_centre @ fit.spread[-LOAD_SIZE:], axis=1)
     return np.where(np.any(to_centre[:, open_ones] != 0, axis=1), np.nan, spread)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
@@ -17,18 +18,37 @@ from ident.regression.least_squares import LeastSquares, excited_columns, ordina
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.regression.systematic_errors import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.total_least_squares import signal_noise
+from ident.stored import Real, Stored
+
+
+class LoadParameter(Stored):
+    """One identifiable combination of load parameters, in the tool frame."""
+
+    name: str
+    expression: str
+    unit: str
+    value: Real = Field(description="null where the two motions do not excite it")
+    std: Real = Field(description="both causes together")
+    noise_std: Real = Field(description="from noise and errors that change along the motion")
+    gain_std: Real = Field(description="from the drive gains' standard deviations, their errors independent or common")
+
+
+class CentreOfMass(Stored):
+    """Centre of mass of the load in the tool frame [m]."""
+
+    value: list[float]
+    std: list[float]
 
 
 @dataclass(frozen=True)
 class LoadEstimate:
-    """Identified load."""
+    """An identified load: its parameters, and the matrices of all equations that test them, too large for a file."""
 
     columns: LoadColumns  # identifiable combinations
-    values: FloatArray  # (k,) of the combinations
+    parameters: list[LoadParameter]  # (k) their values
     covariance: FloatArray  # (k, k) from noise and errors that change along the motion
     # (n, k) of the combinations by one standard deviation of each joint's drive gain; zero where the file names none
     gain_moves: FloatArray
-    unexcited: tuple[str, ...]  # combinations that these two motions do not excite; nan in `values`
     known: KnownLoad | None  # parameters held fixed
     standard: FloatArray  # (10,) standard parameters in the tool frame; nan for those that only combinations reveal
     standard_covariance: FloatArray  # (10, 10) as `covariance`; 0 where `standard` is nan
@@ -37,9 +57,9 @@ class LoadEstimate:
     estimate_gain_moves: FloatArray  # (n, a) of the same by one standard deviation of each gain
 
     @property
-    def std(self) -> FloatArray:
-        """(k,) standard deviations, both causes together."""
-        return np.asarray(np.hypot(np.sqrt(np.diag(self.covariance)), gain_deviations(self.gain_moves)))
+    def values(self) -> FloatArray:
+        """(k,) of the combinations; nan where these two motions do not excite one."""
+        return np.array([parameter.value for parameter in self.parameters])
 
     def standard_deviations(self, directions: FloatArray) -> FloatArray:
         """Standard deviations (m,), both causes together, of combinations (m, 10) of the standard parameters."""
@@ -47,8 +67,8 @@ class LoadEstimate:
         return np.asarray(np.hypot(np.sqrt(noise), gain_deviations(self.standard_gain_moves @ directions.T)))
 
     @property
-    def centre(self) -> tuple[FloatArray, FloatArray] | None:
-        """Centre of mass (3,) [m] and its standard deviations; None where mass or first moments are unknown."""
+    def centre(self) -> CentreOfMass | None:
+        """Centre of mass; None where mass or first moments are unknown."""
         mass, moments = self.standard[MASS], self.standard[6:9]
         if not np.all(np.isfinite(moments)) or not mass > 0:
             return None
@@ -56,7 +76,7 @@ class LoadEstimate:
         slope = np.zeros((3, 10))
         slope[:, 6:9] = np.eye(3) / mass
         slope[:, MASS] = -centre / mass
-        return centre, self.standard_deviations(slope)
+        return CentreOfMass(value=centre.tolist(), std=self.standard_deviations(slope).tolist())
 
 
 @dataclass(frozen=True)
@@ -164,12 +184,24 @@ def _with_standard(
     standard[kept] = values[alone]
     spread[np.ix_(kept, kept)] = covariance[np.ix_(alone, alone)]
     standard_moves[:, kept] = moves[:, alone]
+    noise_std, gain_std = np.sqrt(np.diag(covariance)), gain_deviations(moves)
     return LoadEstimate(
         columns=columns,
-        values=values,
+        parameters=[
+            LoadParameter(name=name, expression=text, unit=unit, value=value, std=std, noise_std=noise, gain_std=gain)
+            for name, text, unit, value, std, noise, gain in zip(
+                columns.names,
+                columns.expressions,
+                columns.units,
+                values.tolist(),
+                np.hypot(noise_std, gain_std).tolist(),
+                noise_std.tolist(),
+                gain_std.tolist(),
+                strict=True,
+            )
+        ],
         covariance=covariance,
         gain_moves=moves,
-        unexcited=tuple(columns.names[i] for i in range(size) if i not in identified),
         known=known,
         standard=standard,
         standard_covariance=spread,

@@ -17,19 +17,24 @@ chi-square statistic dᵀC⁻¹d is compared with Hotelling's T² distribution, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, computed_field
 from pydantic.dataclasses import dataclass as stored
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
-from drivers.core.text import percent_text
+from drivers.core.text import counted, percent_text
+from ident.assessment.delay.delay import DelaySearch
 from ident.experiments.load.consistent_load import ConsistentLoad, consistent_load
 from ident.experiments.load.load_estimate import (
+    CentreOfMass,
     LoadEstimate,
+    LoadParameter,
     SeparateRuns,
     change_between,
     estimate_load,
@@ -37,12 +42,14 @@ from ident.experiments.load.load_estimate import (
 )
 from ident.experiments.run_pair import FREE, LOADED, RunPair, pair_warnings, prepare_pair
 from ident.model.load import INDEPENDENT, KnownLoad, load_effect
-from ident.model.parameters import MASS
-from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test
+from ident.model.parameters import INERTIAL, MASS
+from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest, chi_square_test
 from ident.regression.jackknife import jackknife_covariance
 from ident.result.units import parameter_unit
 from ident.signals.joint_signals import read_joint_signals
 from ident.stored import Real, Stored
+
+FRAME_TEXT = "tool frame: origin at workspace.tool, axes of the last joint's frame"
 
 NEGLIGIBLE_SHARE = 0.002
 """A mass within this share of the known one is as good as it, however little noise there is."""
@@ -86,21 +93,100 @@ class PayloadTests:
     unchanged: LargestChange | None  # the largest difference of what a load does not change (friction, motor inertia)
 
 
-@dataclass(frozen=True)
-class Payload:
-    """Load identified from two runs, and tests of it."""
+class Payload(Stored):
+    """The load identified from a free and a loaded run, and tests of it."""
 
-    pair: RunPair  # the runs
-    load: LoadEstimate  # estimate without any knowledge of the load
-    with_mass: LoadEstimate | None  # estimate with what is known as a constraint; None where nothing is
-    # the load as a body that can exist, what is known held fixed; None where no minimum was reached
-    consistent: ConsistentLoad | None
-    tests: PayloadTests  # of the load, and of what it does not change
-    changes: tuple[BaseParameterChange, ...]  # base parameters without, predicted and identified with the load
-    # blocks, block_length: of the jackknife
-    blocks: int
-    block_length: int
-    warnings: tuple[str, ...]  # for the user
+    kind: Literal["payload"] = "payload"
+    robot: str
+    runs: list[str] = Field(description="free, loaded")
+    frame: str = FRAME_TEXT
+    load: list[LoadParameter] = Field(description="without any knowledge of the load")
+    load_with_known: list[LoadParameter] | None = Field(
+        description="known values held fixed; null where there are none"
+    )
+    consistent_load: ConsistentLoad | None = Field(
+        description="the load as a body that can exist, known values held fixed; null where no minimum was reached"
+    )
+    centre_of_mass: CentreOfMass | None
+    not_identifiable: list[str]
+    unexcited: list[str]
+    known: KnownLoad | None
+    base_parameters: list[BaseParameterChange] = Field(description="without, predicted and identified with the load")
+    tests: PayloadTests
+    delay: DelaySearch
+    blocks: int = Field(description="of the jackknife")
+    block_length: int = Field(description="samples per block")
+    warnings: list[str]
+
+    @property
+    def mass(self) -> LoadParameter | None:
+        """The mass, identified without any knowledge of the load; None where only a combination is identifiable."""
+        return next((row for row in self.load if row.name == "M_L" and isfinite(row.value)), None)
+
+    @computed_field(description="the tests in words")  # type: ignore[prop-decorator]
+    @property
+    def sentences(self) -> list[str]:
+        """The tests in words."""
+        tests, sentences = self.tests, []
+        if tests.mass is not None and self.known is not None and self.mass is not None:
+            sentences.append(_mass_sentence(self.mass, self.known.mass, tests.mass))
+        if tests.values is not None:
+            subject = "the identified load parameters"
+            sentences.append(_sentence(tests.values, subject, "agree", "with all the known ones", ""))
+        sentences.append(
+            _sentence(
+                tests.load,
+                "the runs",
+                "differ",
+                "as a load on the last link would make them differ",
+                "whether a load explains the change",
+            )
+        )
+        if self.known is not None and len(self.known.known) == len(INERTIAL):
+            sentences.append(
+                _sentence(
+                    tests.known_load,
+                    "the free run's base parameters plus the known load",
+                    "agree",
+                    "with those identified loaded",
+                    "whether the known load explains the change",
+                )
+            )
+        rest = tests.unchanged
+        if rest is not None:
+            stayed = "stayed" if rest.passed else "did not stay"
+            sentences.append(
+                f"what a load does not change (friction, motor inertia, …) {stayed} the same: the largest difference "
+                f"is {rest.worst}'s, from {rest.free:.4g} to {rest.loaded:.4g} {rest.unit}, {rest.statistic**0.5:.1f} "
+                f"σ ({_p_value_text(rest)})"
+            )
+        return sentences
+
+
+def _mass_sentence(mass: LoadParameter, known: float, test: SignificanceTest) -> str:
+    verdict = "agrees with" if test.passed else "does not agree with"
+    noise, gains = WITHIN_95_PERCENT * mass.noise_std, WITHIN_95_PERCENT * mass.gain_std
+    text = f"mass: identified without it, {mass.value:.4g} ± {noise:.2g} kg {verdict} the known {known:g} kg "
+    text += f"({_test_text(test)})"
+    if not test.passed and abs(mass.value - known) < WITHIN_95_PERCENT * mass.std:
+        text += f"; the drive gains' standard deviations in the robot file add ± {gains:.2g} kg, "
+        text += "which covers the difference"
+    return text
+
+
+def _sentence(test: SignificanceTest | None, subject: str, verb: str, rest: str, question: str) -> str:
+    if test is None:
+        return f"{question}: too few blocks of data to decide; record longer, or add other motions"
+    return f"{subject} {verb if test.passed else f'do not {verb}'} {rest} ({_test_text(test)})"
+
+
+def _test_text(test: SignificanceTest) -> str:
+    freedom = counted(test.freedom, "degree(s) of freedom")
+    return f"χ² = {test.statistic:.1f} with {freedom}, {_p_value_text(test)}"
+
+
+def _p_value_text(test: SignificanceTest) -> str:
+    return test.p_text if test.passed else f"{test.p_text}, significant below {LEVEL:g}"
 
 
 def identify_payload(
@@ -142,19 +228,24 @@ def identify_payload(
     if known is not None and len(known.known) == 10:
         left = difference - (effect @ known.values)[list(separate.active)]
         known_test = chi_square_test(left[rows], covariance[np.ix_(rows, rows)], blocks)
+    tests = PayloadTests(
+        mass=_mass_test(estimate, known),
+        values=_values_test(estimate, known, blocks),
+        load=chi_square_test(difference[rows], covariance[np.ix_(rows, rows)], blocks, effect[list(changing)]),
+        known_load=known_test,
+        unchanged=_largest_change(pair, separate, difference, covariance, others, blocks),
+    )
     payload = Payload(
-        pair=pair,
-        load=estimate,
-        with_mass=constrained,
-        consistent=consistent_load(pair, estimate, known),
-        tests=PayloadTests(
-            mass=_mass_test(estimate, known),
-            values=_values_test(estimate, known, blocks),
-            load=chi_square_test(difference[rows], covariance[np.ix_(rows, rows)], blocks, effect[list(changing)]),
-            known_load=known_test,
-            unchanged=_largest_change(pair, separate, difference, covariance, others, blocks),
-        ),
-        changes=tuple(
+        robot=pair.robot_file.robot.name,
+        runs=[run.label for run in pair.runs],
+        load=estimate.parameters,
+        load_with_known=None if constrained is None else constrained.parameters,
+        consistent_load=consistent_load(pair, estimate, known),
+        centre_of_mass=used.centre,
+        not_identifiable=estimate.columns.not_identifiable,
+        unexcited=[row.name for row in estimate.parameters if not isfinite(row.value)],
+        known=known,
+        base_parameters=[
             BaseParameterChange(
                 name=pair.base.names[column],
                 unit=parameter_unit(pair.model, pair.base.columns[column]),
@@ -165,12 +256,14 @@ def identify_payload(
                 loaded_std=deviations[LOADED][row],
             )
             for column, row in zip(changing, rows, strict=True)
-        ),
+        ],
+        tests=tests,
+        delay=pair.delay,
         blocks=blocks,
         block_length=grams.length,
-        warnings=(),
+        warnings=pair_warnings(pair, (free, loaded)),
     )
-    return replace(payload, warnings=tuple(_warnings(payload, (free, loaded))))
+    return payload.model_copy(update={"warnings": [*payload.warnings, *_warnings(payload)]})
 
 
 def _largest_change(
@@ -227,37 +320,31 @@ def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -
     )
 
 
-def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list[str]:
-    warnings = pair_warnings(payload.pair, recordings)
-    if payload.load.unexcited:
+def _warnings(payload: Payload) -> list[str]:
+    warnings = []
+    if payload.unexcited:
         warnings.append(
-            f"the two motions do not excite {', '.join(payload.load.unexcited)}: they get no value, and other "
+            f"the two motions do not excite {', '.join(payload.unexcited)}: they get no value, and other "
             "parameters may have absorbed them"
         )
-    mass, known = payload.load.standard[MASS], payload.load.known or (payload.with_mass and payload.with_mass.known)
-    if (
-        payload.tests.mass is not None
-        and known
-        and not payload.tests.mass.passed
-        and abs(mass / known.mass - 1) > NEGLIGIBLE_SHARE
-    ):
+    mass, known, test = payload.mass, payload.known, payload.tests.mass
+    if mass and known and test and not test.passed and abs(mass.value / known.mass - 1) > NEGLIGIBLE_SHARE:
         warnings.append(
-            f"the identified mass is {percent_text(abs(mass / known.mass - 1), 2)} "
-            f"{'above' if mass > known.mass else 'below'} the known one, which noise does not explain: if the load was "
-            "weighed right, drive gains are off by about as much; identify them with dynid gains"
+            f"the identified mass is {percent_text(abs(mass.value / known.mass - 1), 2)} "
+            f"{'above' if mass.value > known.mass else 'below'} the known one, which noise does not explain: if the "
+            "load was weighed right, drive gains are off by about as much; identify them with dynid gains"
         )
-    place = payload.load.columns.kept.index(MASS) if MASS in payload.load.columns.kept else None
-    if place is not None and np.isfinite(mass) and mass < 2 * np.sqrt(payload.load.covariance[place, place]):
+    if mass and mass.value < 2 * mass.noise_std:
         warnings.append("no load detected: the identified mass is below 2 σ")
     if payload.tests.load is not None and not payload.tests.load.passed:
         warnings.append(
             "the runs do not differ as a load on the last link would make them differ: it slips, a hose pulls, it "
             "touches something, or the drive gains are wrong"
         )
-    body = payload.consistent
+    body = payload.consistent_load
     if body is None:
         warnings.append("no physically consistent load and links were found: check units, gains and geometry")
-    elif body.test is not None and not body.test.passed:
+    elif body.cost is not None and not body.cost.passed:
         warnings.append(
             "no physically consistent load and links explain the runs: check gains, geometry and known values"
         )

@@ -19,7 +19,7 @@ from drivers.core.errors import ModelError, UsageError
 from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.export.xml_text import quaternion
 from ident.model.kinematics.joints import BASE_INDEX
-from ident.model.parameters import LINK_SIZE
+from ident.model.parameters import LINK_SIZE, inertia_tensor
 from ident.servo.links import ServoLinks
 from ident.servo.simulators.actuator_law import ActuatorLaw, FileFormat, actuator_law
 from ident.servo.terms import INDEX, TERMS
@@ -148,12 +148,12 @@ def _mass(prim: Any, link: FloatArray) -> None:
     from pxr import Gf, UsdPhysics
 
     body = body_of(link)
-    moments, axes = np.linalg.eigh(body.inertia)
+    moments, axes = np.linalg.eigh(inertia_tensor([*body.inertia.values()]))
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1.0
     mass = UsdPhysics.MassAPI.Apply(prim)
-    mass.CreateMassAttr(float(body.mass))
-    mass.CreateCenterOfMassAttr(Gf.Vec3f(*np.asarray(body.com, dtype=np.float64).tolist()))
+    mass.CreateMassAttr(body.mass)
+    mass.CreateCenterOfMassAttr(Gf.Vec3f(*body.com))
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*np.maximum(moments, 0.0).tolist()))
     mass.CreatePrincipalAxesAttr(_quaternion(axes))
 

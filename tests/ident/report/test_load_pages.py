@@ -8,10 +8,10 @@ import pytest
 from html_page import Page
 
 from ident.assessment.delay.delay import DelaySearch
-from ident.experiments.gains.drive_gains import EstimatedValue, GainEstimate
+from ident.experiments.gains.drive_gains import DriveGains, EstimatedValue, GainEstimate
 from ident.experiments.gains.up_and_down import SlowGain, SlowGainsResult
-from ident.experiments.load.payload import BaseParameterChange, PayloadTests
-from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult
+from ident.experiments.load.load_estimate import LoadParameter
+from ident.experiments.load.payload import BaseParameterChange, Payload, PayloadTests
 from ident.model.load import KnownLoad
 from ident.regression.hypothesis_tests import SignificanceTest
 from ident.report.load_pages import gains_page, payload_page
@@ -33,7 +33,7 @@ def parameter(name: str, value: float | None, std: float | None) -> LoadParamete
     )
 
 
-def payload(**changes: object) -> PayloadResult:
+def payload(**changes: object) -> Payload:
     content: dict[str, object] = {
         "robot": "arm",
         "runs": ["free.h5", HOSTILE],
@@ -47,13 +47,12 @@ def payload(**changes: object) -> PayloadResult:
         "known": None,
         "base_parameters": [],
         "tests": PayloadTests(mass=None, values=None, load=None, known_load=None, unchanged=None),
-        "sentences": ["a sentence"],
         "delay": DelaySearch(used=0.0, note="none"),
         "blocks": 9,
         "block_length": 8,
         "warnings": [HOSTILE],
     }
-    return PayloadResult(**(content | changes))
+    return Payload(**(content | changes))
 
 
 def gain(joint: str, value: float | None, file_gain: float | None) -> GainEstimate:
@@ -63,8 +62,8 @@ def gain(joint: str, value: float | None, file_gain: float | None) -> GainEstima
     )  # fmt: skip
 
 
-def gains(*of: GainEstimate) -> GainsResult:
-    return GainsResult(
+def gains(*of: GainEstimate) -> DriveGains:
+    return DriveGains(
         robot="arm", runs=["free.h5", "loaded.h5"], signal="current", unit="N·m/A", known=KNOWN, gains=list(of),
         covariance=[], base_parameters=[EstimatedValue(name="ZZ1", unit="kg·m²", value=1.0, std=None)], load=[],
         condition=5.0, gap=math.inf, delay=DelaySearch(used=0.0, note="none"), blocks=9, block_length=8,
@@ -83,7 +82,7 @@ def read(text: str) -> Page:
 def test_a_load_of_which_nothing_is_known() -> None:
     page = read(payload_page(payload()))
     assert list(page.figures) == ["load-plot"]
-    assert "a sentence" in page.words
+    assert "whether a load explains the change: too few blocks of data to decide" in page.words
     assert HOSTILE in page.words
     assert "too little data to decide" in page.words
     assert "Mass agrees" not in page.words

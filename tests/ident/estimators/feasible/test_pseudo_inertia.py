@@ -32,7 +32,7 @@ def test_a_body_has_its_link_s_parameters(seed: int) -> None:
     link = standard_parameters(homogeneous.T @ (masses[:, None] * homogeneous))
     body = body_of(link)
     np.testing.assert_allclose(body.com, masses @ points / masses.sum(), rtol=1e-12)
-    xx, xy, xz, yy, yz, zz = body.inertia[np.triu_indices(3)]
+    xx, xy, xz, yy, yz, zz = body.inertia.values()
     again = link_parameters(body.mass, tuple(body.com), (xx, xy, xz, yy, yz, zz))
     np.testing.assert_allclose(again, link, rtol=1e-10, atol=1e-10)
 

@@ -10,14 +10,15 @@ from loaded_arm import LOAD, RATE, runs
 
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import DataError, UsageError
-from ident.experiments.load.load_estimate import estimate_load, identify_separately
 from ident.experiments.load.payload import identify_payload
-from ident.experiments.payload_summary import payload_result, payload_sentences
+from ident.experiments.run_pair import prepare_pair
 from ident.model.dynamic_model import build_model
-from ident.model.load import KnownLoad, load_effect
+from ident.model.load import KnownLoad
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import chi_square_test
+from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.payload.payload import unconstrained_load
 
 SEEDS = range(4)
 
@@ -27,8 +28,12 @@ def found():
     return [identify_payload(*runs(seed), LOAD) for seed in SEEDS]
 
 
+def column(rows, field: str) -> np.ndarray:
+    return np.array([getattr(row, field) for row in rows])
+
+
 def test_the_load_lies_within_its_error_bars(found):
-    errors = np.array([(each.load.values - LOAD.values) / np.sqrt(np.diag(each.load.covariance)) for each in found])
+    errors = np.array([(column(each.load, "value") - LOAD.values) / column(each.load, "noise_std") for each in found])
     assert np.mean(np.abs(errors) < 2) > 0.85
     assert np.max(np.abs(errors)) < 4.5
     assert np.sqrt(np.mean(errors**2)) > 0.5  # the error bars are not much too long either
@@ -36,10 +41,10 @@ def test_the_load_lies_within_its_error_bars(found):
 
 def test_mass_and_centre_are_close(found):
     for each in found:
-        centre, std = each.load.centre
-        assert each.load.standard[INERTIAL.index("M")] == pytest.approx(LOAD.mass, abs=0.05)
-        assert centre == pytest.approx(LOAD.com, abs=0.005)
-        assert np.all(std > 0)
+        assert each.mass.value == pytest.approx(LOAD.mass, abs=0.05)
+        moments = column(each.load, "value")[6:9]
+        assert moments / each.mass.value == pytest.approx(LOAD.com, abs=0.005)
+        assert each.centre_of_mass.value == pytest.approx(LOAD.com, rel=1e-12)  # with what is known
 
 
 def test_the_right_load_is_accepted(found):
@@ -49,7 +54,7 @@ def test_the_right_load_is_accepted(found):
         assert each.tests.load.passed
         assert each.tests.known_load.passed
         assert each.tests.unchanged.p_value > 1e-3
-        assert "agrees with the known 2.8 kg" in payload_sentences(each)[0]
+        assert "agrees with the known 2.8 kg" in each.sentences[0]
 
 
 @pytest.mark.parametrize(
@@ -65,33 +70,35 @@ def test_a_wrong_load_is_rejected(wrong):
     assert not each.tests.known_load.passed
     assert not each.tests.values.passed
     assert each.tests.load.passed  # some load it is
-    assert any("do not agree" in sentence for sentence in payload_sentences(each))
+    assert any("do not agree" in sentence for sentence in each.sentences)
 
 
 def test_the_table_predicts_the_loaded_parameters(found):
     """As SR400 Table 4: free plus load against identified loaded."""
-    changes = found[0].changes
+    changes = found[0].base_parameters
     spread = np.array([np.hypot(row.free_std, row.loaded_std) for row in changes])
     assert np.max(np.abs([row.predicted - row.loaded for row in changes]) / spread) < 4.5
     assert np.max(np.abs([row.free - row.loaded for row in changes]) / spread) > 20
 
 
 def test_a_known_mass_is_held(found):
-    constrained = found[0].with_mass
-    only_mass = identify_payload(*runs(0), KnownLoad(2.8)).with_mass
-    assert constrained.columns.names == ()
-    assert "M_L" not in only_mass.columns.names
-    assert only_mass.standard[INERTIAL.index("M")] == 2.8
-    assert only_mass.values == pytest.approx(LOAD.values[:9], abs=5 * only_mass.std.max())
+    only_mass = identify_payload(*runs(0), KnownLoad(2.8))
+    rows, centre = only_mass.load_with_known, only_mass.centre_of_mass
+    assert centre.value == pytest.approx(LOAD.com, abs=0.005)
+    assert min(centre.std) > 0
+    assert found[0].load_with_known == []
+    assert "M_L" not in [row.name for row in rows]
+    assert only_mass.consistent_load.mass == pytest.approx(2.8, rel=1e-12)
+    assert column(rows, "value") == pytest.approx(LOAD.values[:9], abs=5 * column(rows, "std").max())
 
 
 def test_gains_ten_percent_wrong_show_in_the_mass():
     each = identify_payload(*runs(1, everywhere=1 / 1.1), KnownLoad(2.8))
-    assert each.load.standard[INERTIAL.index("M")] == pytest.approx(1.1 * 2.8, rel=0.01)
+    assert each.mass.value == pytest.approx(1.1 * 2.8, rel=0.01)
     assert not each.tests.mass.passed
     assert any("drive gains are off by about as much" in warning for warning in each.warnings)
     # The robot file says 10 % of each gain's standard deviation itself: the sentence does not blame the scales.
-    assert "covers the difference" in payload_sentences(each)[0]
+    assert "covers the difference" in each.sentences[0]
 
 
 def test_gains_wrong_unevenly_are_no_load():
@@ -112,28 +119,26 @@ def test_the_gains_part_of_the_error_bars_is_what_wrong_gains_do():
             for each in robot_file.robot.drives
         )
         other = robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"drives": drives})})
-        changed = identify_payload(free, loaded, None, other, reference.pair.delay.used)
-        moved[joint] = (changed.load.values - reference.load.values) / step
+        changed = identify_payload(free, loaded, None, other, reference.delay.used)
+        moved[joint] = (column(changed.load, "value") - column(reference.load, "value")) / step
     relative = np.array([drive.gain_std / drive.gain for drive in robot_file.robot.drives])
     independent = np.sqrt(np.sum((moved * relative[:, None]) ** 2, axis=0))
     common = np.abs(np.sum(moved * relative[:, None], axis=0))
-    of_gains = np.sqrt(reference.load.std**2 - np.diag(reference.load.covariance))
+    of_gains, size = column(reference.load, "gain_std"), np.abs(column(reference.load, "value"))
     assert of_gains == pytest.approx(np.maximum(independent, common), rel=0.1)
     # All gains too high by a share make everything heavier by that share.
-    assert common == pytest.approx(relative.mean() * np.abs(reference.load.values), rel=0.05, abs=0.02 * of_gains.max())
+    assert common == pytest.approx(relative.mean() * size, rel=0.05, abs=0.02 * of_gains.max())
 
 
-def test_a_recorded_torque_has_no_error_of_a_gain(found):
+def test_a_recorded_torque_has_no_error_of_a_gain():
     """Neither run's torque is a gain's, then the free run's alone."""
-    pair, effect = found[0].pair, load_effect(found[0].pair.model, found[0].pair.base, found[0].pair.robot_file.robot)
-    separate, grams = identify_separately(pair)
+    pair = prepare_pair(*runs(0), read_joint_signals)
     moves = []
     for used in ((), ()), (pair.runs[0].gains_used, ()), (pair.runs[0].gains_used,) * 2:
         runs_of = tuple(replace(run, gains_used=gains) for run, gains in zip(pair.runs, used, strict=True))
-        estimate = estimate_load(replace(pair, runs=runs_of), grams, effect, separate.weights, None)
-        moves.append(estimate.gain_moves)
+        moves.append(unconstrained_load(replace(pair, runs=runs_of)).gain_moves)
     assert not moves[0].any()
-    assert moves[2] == pytest.approx(found[0].load.gain_moves)
+    assert moves[2] == pytest.approx(unconstrained_load(pair).gain_moves)
     assert np.abs(moves[1]).max() > np.abs(moves[2]).max()  # a gain that is wrong in one run only looks like a load
 
 
@@ -144,13 +149,14 @@ def test_intervals_of_the_mass_hold_the_truth_whatever_the_gains(common):
     file = load_robot("ur10e")
     relative = np.array([drive.gain_std / abs(drive.gain) for drive in file.robot.drives])
     # The estimate is linear in the gains: one identification says what every draw of them gives.
-    reference = identify_payload(free, loaded)
-    place = reference.load.columns.names.index("M_L")
-    moves = reference.load.gain_moves[:, place]
+    pair = prepare_pair(free, loaded, read_joint_signals)
+    reference = unconstrained_load(pair)
+    place = reference.columns.names.index("M_L")
+    moves, mass = reference.gain_moves[:, place], reference.parameters[place]
     generator = np.random.default_rng(0)
     draws = generator.standard_normal((4000, 1 if common else 6)) * np.ones(6)
-    masses = reference.load.values[place] + draws @ moves
-    held = np.abs(masses - 2.8) <= 1.96 * reference.load.std[place]
+    masses = mass.value + draws @ moves
+    held = np.abs(masses - 2.8) <= 1.96 * mass.std
     assert np.mean(held) > 0.93
     for draw in draws[:2]:
         drives = tuple(
@@ -158,8 +164,8 @@ def test_intervals_of_the_mass_hold_the_truth_whatever_the_gains(common):
             for drive, share in zip(file.robot.drives, relative * draw, strict=True)
         )
         other = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
-        found = identify_payload(free, loaded, None, other, reference.pair.delay.used)
-        assert found.load.values[place] == pytest.approx(reference.load.values[place] + draw @ moves, abs=0.05)
+        changed = identify_payload(free, loaded, None, other, pair.delay.used)
+        assert changed.load[place].value == pytest.approx(mass.value + draw @ moves, abs=0.05)
 
 
 def test_no_load_is_said():
@@ -217,7 +223,7 @@ def test_the_same_file_twice_is_refused(tmp_path):
 
 
 def test_the_object_is_complete(found):
-    content = payload_result(found[0]).model_dump()
+    content = found[0].model_dump()
     assert [row["name"] for row in content["load"]] == [f"{symbol}_L" for symbol in INERTIAL]
     assert content["tests"]["mass"]["passed"] is True
     assert content["not_identifiable"] == []
