@@ -1,6 +1,7 @@
 """Faults on request, of simulated controllers, drives, buses and sensors.
 
-`FAULTS` is the table of all of them: the typed word, its arguments, and the servers that obey it.
+`FAULTS` is the table of all of them: the typed word, its arguments, and the servers that obey it. What each does is in
+docs/faults.md.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from drivers.core.errors import UsageError
 
@@ -16,162 +18,8 @@ from drivers.core.errors import UsageError
 class Fault:
     """A fault that a person asks for."""
 
-
-@dataclass(frozen=True)
-class Counted(Fault):
-    """One that concerns the next `count` of something."""
-
-    count: int
-
-
-@dataclass(frozen=True)
-class Lasting(Fault):
-    """One that ends after `duration` [s]."""
-
-    duration: float
-
-
-@dataclass(frozen=True)
-class OfJoint(Fault):
-    """One of the joint of index `joint`."""
-
-    joint: int
-
-
-class Drop(Counted):
-    """Lose the next `count` data packages of every RTDE client, or sample frames of a bus; time continues."""
-
-
-class Freeze(Lasting):
-    """Send nothing for `duration` [s] and keep the connections; the data of that time are lost."""
-
-
-class Cut(Fault):
-    """Close every RTDE connection."""
-
-
-class ProtectiveStop(Fault):
-    """Stop protectively, as after a collision."""
-
-
-class LocalControl(Fault):
-    """The pendant takes the controller out of remote control: it takes no programs or stops from outside any more."""
-
-
-@dataclass(frozen=True)
-class Heat(Fault):
-    """Warm the joint of index `joint` up by `celsius` [K]."""
-
-    joint: int
-    celsius: float
-
-
-class BlockJoint(OfJoint):
-    """Jam the joint of index `joint` for good: it stops at once and does not move."""
-
-
-@dataclass(frozen=True)
-class Stick(Fault):
-    """What the joint of index `joint` reports as `quantity` stays what it is; without both, all of a thermometer."""
-
-    quantity: str = ""
-    joint: int = -1
-
-
-@dataclass(frozen=True)
-class Refuse(Fault):
-    """Clients that connect from now on are refused an RTDE variable (NOT_FOUND)."""
-
-    variable: str
-
-
-@dataclass(frozen=True)
-class Drift(Fault):
-    """Move the joint of index `joint` away from its target at `velocity` [rad/s] while a program runs."""
-
-    joint: int
-    velocity: float
-
-
-@dataclass(frozen=True)
-class ClockJump(Fault):
-    """The clock or counter in the samples jumps by `seconds` [s], and goes on from there; the arm does not."""
-
-    seconds: float
-
-
-class PowerCycle(OfJoint):
-    """Interrupt the power of the drive of joint index `joint` for a moment."""
-
-
-class HeartbeatStop(OfJoint):
-    """The drive of joint index `joint` sends no heartbeat any more; all else continues."""
-
-
-class OverTemperature(OfJoint):
-    """The drive of joint index `joint` goes into fault, as if it were too hot."""
-
-
-class BusOff(Lasting):
-    """An error frame, then `duration` [s] without any frame in either direction."""
-
-
-class Truncate(Counted):
-    """Cut the next `count` sample frames short: the adapter's line, or the frame itself without an adapter."""
-
-
-class Garbage(Counted):
-    """Send `count` lines of random bytes through the adapter, or frames of random content without one."""
-
-
-@dataclass(frozen=True)
-class Unplug(Fault):
-    """Pull the adapter or the thermometer out; it comes back after `duration` [s] if there is one."""
-
-    duration: float | None = None
-
-
-@dataclass(frozen=True)
-class Mute(Fault):
-    """Frames of one identifier are not sent for `duration` [s]; all else continues."""
-
-    identifier: int
-    duration: float
-
-
-class Noise(Lasting):
-    """Send random bytes in place of lines for `duration` [s], as at a wrong baud rate."""
-
-
-class Replug(Fault):
-    """Plug the thermometer in again; nothing where it is plugged in."""
-
-
-class Die(OfJoint):
-    """The servo of joint index `joint` neither answers nor drives any more, as with a broken cable."""
-
-
-class SameId(OfJoint):
-    """Another servo with the id of joint index `joint` answers at the same time."""
-
-
-class Sag(Lasting):
-    """The supply falls to half of its nominal voltage for `duration` [s]."""
-
-
-class WrongSum(Counted):
-    """The next `count` answers have a wrong sum."""
-
-
-@dataclass(frozen=True)
-class Latency(Fault):
-    """The adapter hands answers on only every `seconds` [s] from now on."""
-
-    seconds: float
-
-
-class Echo(Fault):
-    """The adapter returns what is sent from now on."""
+    word: str  # as typed
+    values: tuple[Any, ...] = ()  # of its arguments; of a joint its index
 
 
 ServerKind = str
@@ -240,7 +88,6 @@ class FaultEntry:
 
     word: str  # as typed
     arguments: tuple[Argument, ...]  # behind it
-    make: Callable[..., Fault]  # the fault of their values
     servers: tuple[ServerKind, ...]  # that obey it
 
     @property
@@ -256,36 +103,36 @@ MOTORS: tuple[ServerKind, ...] = ("CAN motors",)
 THERMOMETERS: tuple[ServerKind, ...] = ("thermometer", "arm at rest")
 
 FAULTS = (
-    FaultEntry("drop", (COUNT,), Drop, (*ARMS, *SERVOS, *MOTORS)),
-    FaultEntry("freeze", (SECONDS,), Freeze, (*ARMS, *SERVOS, *MOTORS)),
-    FaultEntry("cut", (), Cut, ("UR controller",)),
-    FaultEntry("protective-stop", (), ProtectiveStop, ("UR controller",)),
-    FaultEntry("local-control", (), LocalControl, ("UR controller",)),
-    FaultEntry("mute", (IDENTIFIER, SECONDS), Mute, ("signal-table arm",)),
-    FaultEntry("clock-jump", (JUMP,), ClockJump, ("UR controller", "signal-table arm")),
-    FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives", *SERVOS, *MOTORS)),
-    FaultEntry("heartbeat-stop", (JOINT,), HeartbeatStop, ("CANopen drives",)),
-    FaultEntry("over-temperature", (JOINT,), OverTemperature, (*CAN, *SERVOS, *MOTORS)),
-    FaultEntry("bus-off", (SECONDS,), BusOff, (*CAN, *MOTORS)),
-    FaultEntry("truncate", (COUNT,), Truncate, (*CAN, *SERVOS, *MOTORS)),
-    FaultEntry("garbage", (COUNT,), Garbage, (*CAN, *SERVOS, *MOTORS)),
-    FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, *SERVOS, *MOTORS, "arm at rest")),
-    FaultEntry("block", (JOINT,), BlockJoint, (*ARMS, *SERVOS, *MOTORS)),
-    FaultEntry("stick", (QUANTITY, JOINT), Stick, ARMS),
-    FaultEntry("stick", (), Stick, THERMOMETERS),
-    FaultEntry("refuse", (VARIABLE,), Refuse, ("UR controller",)),
-    FaultEntry("drift", (JOINT, SPEED), Drift, ("UR controller",)),
-    FaultEntry("silent", (SECONDS,), Freeze, THERMOMETERS),
-    FaultEntry("garbage", (SECONDS,), Noise, THERMOMETERS),
-    FaultEntry("unplug", (), Unplug, ("CANopen drives", *SERVOS, *THERMOMETERS)),
-    FaultEntry("unplug", (SECONDS,), Unplug, THERMOMETERS),
-    FaultEntry("replug", (), Replug, THERMOMETERS),
-    FaultEntry("die", (JOINT,), Die, (*SERVOS, *MOTORS)),
-    FaultEntry("same-id", (JOINT,), SameId, (*SERVOS, *MOTORS)),
-    FaultEntry("sag", (SECONDS,), Sag, (*SERVOS, *MOTORS)),
-    FaultEntry("wrong-sum", (COUNT,), WrongSum, SERVOS),
-    FaultEntry("latency", (SECONDS,), Latency, SERVOS),
-    FaultEntry("echo", (), Echo, SERVOS),
+    FaultEntry("drop", (COUNT,), (*ARMS, *SERVOS, *MOTORS)),
+    FaultEntry("freeze", (SECONDS,), (*ARMS, *SERVOS, *MOTORS)),
+    FaultEntry("cut", (), ("UR controller",)),
+    FaultEntry("protective-stop", (), ("UR controller",)),
+    FaultEntry("local-control", (), ("UR controller",)),
+    FaultEntry("mute", (IDENTIFIER, SECONDS), ("signal-table arm",)),
+    FaultEntry("clock-jump", (JUMP,), ("UR controller", "signal-table arm")),
+    FaultEntry("power-cycle", (JOINT,), ("CANopen drives", *SERVOS, *MOTORS)),
+    FaultEntry("heartbeat-stop", (JOINT,), ("CANopen drives",)),
+    FaultEntry("over-temperature", (JOINT,), (*CAN, *SERVOS, *MOTORS)),
+    FaultEntry("bus-off", (SECONDS,), (*CAN, *MOTORS)),
+    FaultEntry("truncate", (COUNT,), (*CAN, *SERVOS, *MOTORS)),
+    FaultEntry("garbage", (COUNT,), (*CAN, *SERVOS, *MOTORS)),
+    FaultEntry("heat", (JOINT, CELSIUS), (*ARMS, *SERVOS, *MOTORS, "arm at rest")),
+    FaultEntry("block", (JOINT,), (*ARMS, *SERVOS, *MOTORS)),
+    FaultEntry("stick", (QUANTITY, JOINT), ARMS),
+    FaultEntry("stick", (), THERMOMETERS),
+    FaultEntry("refuse", (VARIABLE,), ("UR controller",)),
+    FaultEntry("drift", (JOINT, SPEED), ("UR controller",)),
+    FaultEntry("silent", (SECONDS,), THERMOMETERS),
+    FaultEntry("garbage", (SECONDS,), THERMOMETERS),
+    FaultEntry("unplug", (), ("CANopen drives", *SERVOS, *THERMOMETERS)),
+    FaultEntry("unplug", (SECONDS,), THERMOMETERS),
+    FaultEntry("replug", (), THERMOMETERS),
+    FaultEntry("die", (JOINT,), (*SERVOS, *MOTORS)),
+    FaultEntry("same-id", (JOINT,), (*SERVOS, *MOTORS)),
+    FaultEntry("sag", (SECONDS,), (*SERVOS, *MOTORS)),
+    FaultEntry("wrong-sum", (COUNT,), SERVOS),
+    FaultEntry("latency", (SECONDS,), SERVOS),
+    FaultEntry("echo", (), SERVOS),
 )
 
 
@@ -305,5 +152,5 @@ def parse_fault(line: str, server: ServerKind, joints: Sequence[str], faults: Se
         if entry.word == word and server in entry.servers and len(entry.arguments) == len(texts):
             values = [argument.read(text, joints) for argument, text in zip(entry.arguments, texts, strict=True)]
             if None not in values:
-                return entry.make(*values)
+                return Fault(word, tuple(values))
     raise UsageError(f"'{line.strip()}' is not a fault of the {server}", hint=usage(server, faults))

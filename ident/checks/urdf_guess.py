@@ -52,7 +52,7 @@ def guess_of_urdf(robot_file: RobotFile, *, limited: bool) -> ArmGuess:
     positions = _candidates(model)
     joints = dict(zip(model.joint_names, _joints(model, arm, positions), strict=True))
     links = {
-        name: (_truth_link(body), origin) for name, body, origin in zip(model.link_names, bodies, origins, strict=True)
+        name: (truth_link(body), origin) for name, body, origin in zip(model.link_names, bodies, origins, strict=True)
     }
     if not limited:
         return ArmGuess(links, joints)
@@ -77,7 +77,8 @@ def _bodies(model: DynamicModel, robot_file: RobotFile) -> tuple[FloatArray, lis
     return bodies, origins
 
 
-def _truth_link(body: FloatArray) -> TruthLink:
+def truth_link(body: FloatArray) -> TruthLink:
+    """The link of a truth that ten standard parameters (10,) with a positive mass describe."""
     of_link = body_of(body)
     x, y, z = of_link.com
     xx, xy, xz, yy, yz, zz = of_link.inertia.values()

@@ -16,7 +16,7 @@ from drivers.can.bus import close_bus, open_bus
 from drivers.core.clock import Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError, UsageError
 from sim_drivers.can.bus_load import Frame
-from sim_drivers.faults import FAULTS, BusOff, Drop, Fault, FaultEntry, Freeze, Garbage, ServerKind, Truncate
+from sim_drivers.faults import FAULTS, Fault, FaultEntry, ServerKind
 from sim_drivers.served import SimOptions
 from sim_drivers.server import FaultyServer, Server, stated_keys
 
@@ -96,18 +96,20 @@ class BusServer(FaultyServer):
     def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         """Faults that devices on every bus have; [s, host's clock]."""
         match fault:
-            case Drop(count):
+            case Fault("drop", (count,)):
                 self._drop += count
-            case Truncate(count):
+            case Fault("truncate", (count,)):
                 self._truncate += count
-            case Freeze(duration):
+            case Fault("freeze", (duration,)):
                 self._silent_until = now + duration
-            case BusOff(duration):
+            case Fault("bus-off", (duration,)):
                 bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
                 self._silent_until = self._deaf_until = now + duration
-            case Garbage(count):
+            case Fault("garbage", (count,)):
                 for _ in range(count):
                     self._spread(bus, self._random_frame(), now)
+            case _:
+                raise NotImplementedError(f"{self._kind}: {fault.word}")
 
     def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
         """Send a frame that is no device's."""

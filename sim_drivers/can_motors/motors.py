@@ -120,7 +120,20 @@ class SimulatedMotor(ABC):
         return min(max(round(self._state[quantity]), 0), 255)
 
 
-class DamiaoMotor(SimulatedMotor):
+class MitMotor(SimulatedMotor):
+    """A motor in MIT mode."""
+
+    def _obey(self, data: bytes, now: float) -> None:
+        if data == mit.ENABLE:
+            self._enable(now)
+        elif data == mit.DISABLE:
+            self._let_go()
+        else:
+            goal, speed, kp, kd, torque = mit.unpack_goal(self.motor.address.model, data)
+            self._follow(now, goal, (kp, kd), torque=torque + kd * speed)
+
+
+class DamiaoMotor(MitMotor):
     """A Damiao motor: commands on its id, requests on 0x7FF, answers on its master id."""
 
     over_temperature, under_voltage, timed_out = 12, 9, 13
@@ -131,15 +144,10 @@ class DamiaoMotor(SimulatedMotor):
             return self._asked(data)
         if identifier != address.id or len(data) != 8:
             return []
-        if data == mit.ENABLE:
-            self._enable(now)
-        elif data == mit.DISABLE:
-            self._let_go()
-        elif data == mit.CLEAR:
+        if data == mit.CLEAR:
             self.fault = 0
         else:
-            goal, speed, kp, kd, torque = mit.unpack_goal(address.model, data)
-            self._follow(now, goal, (kp, kd), torque=torque + kd * speed)
+            self._obey(data, now)
         return [self._told()]
 
     @property
@@ -168,7 +176,7 @@ class DamiaoMotor(SimulatedMotor):
         return address.host, first + packed + bytes([self._byte("drive_temperature"), self._byte("temperature")])
 
 
-class CubemarsMotor(SimulatedMotor):
+class CubemarsMotor(MitMotor):
     """A CubeMars motor in MIT mode."""
 
     over_temperature, under_voltage, timed_out = 1, 4, 0
@@ -177,13 +185,7 @@ class CubemarsMotor(SimulatedMotor):
         address = self.motor.address
         if identifier != address.id or len(data) != 8:
             return []
-        if data == mit.ENABLE:
-            self._enable(now)
-        elif data == mit.DISABLE:
-            self._let_go()
-        else:
-            goal, speed, kp, kd, torque = mit.unpack_goal(address.model, data)
-            self._follow(now, goal, (kp, kd), torque=torque + kd * speed)
+        self._obey(data, now)
         state = self._state
         packed = mit.pack_state(address.model, state["position"], state["velocity"], state["torque"])
         heat = min(max(round(state["temperature"] - address.temperature_offset), 0), 255)

@@ -25,7 +25,7 @@ from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can.bus_server import BusServer, frame_of, message_of, table_keys
 from sim_drivers.can_motors.arm import MotorPlant
 from sim_drivers.can_motors.motors import SIMULATED, SimulatedMotor
-from sim_drivers.faults import BlockJoint, Die, Fault, Heat, OverTemperature, PowerCycle, Sag, SameId
+from sim_drivers.faults import Fault
 from sim_drivers.plant.clocked_arm import start_position
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
@@ -181,21 +181,21 @@ class CanMotorServer(BusServer):
 
     def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         match fault:
-            case Sag(duration):
+            case Fault("sag", (duration,)):
                 self._sag_until, self.plant.sagging = now + duration, True
                 for motor in self.motors:
                     motor.protect(motor.under_voltage)
-            case Heat(joint, celsius):
+            case Fault("heat", (joint, celsius)):
                 self.plant.heat(joint, celsius)
-            case BlockJoint(joint):
+            case Fault("block", (joint,)):
                 self.plant.arm.block(joint)
-            case Die(joint):
+            case Fault("die", (joint,)):
                 self.motors[joint].die()
-            case SameId(joint):
+            case Fault("same-id", (joint,)):
                 self._twice.add(joint)
-            case PowerCycle(joint):
+            case Fault("power-cycle", (joint,)):
                 self.motors[joint].restart(now)
-            case OverTemperature(joint):
+            case Fault("over-temperature", (joint,)):
                 self.motors[joint].protect(self.motors[joint].over_temperature)
             case _:
                 super()._cause(bus, fault, now)

@@ -21,7 +21,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame
 from sim_drivers.canopen.motion import EXTRAPOLATED_CYCLES, AxisReference, CyclicPosition, SyncClock
-from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.plant.plant import Plant
 from sim_drivers.plant.sensors import Measurement
 
 MEASURED = (
@@ -63,7 +63,7 @@ class TableArm:
         messages: for the terminal, oldest first.
     """
 
-    def __init__(self, arm: SimulatedArm, joints: Sequence[JointLimits], settings: CanFramesSettings) -> None:
+    def __init__(self, arm: Plant, joints: Sequence[JointLimits], settings: CanFramesSettings) -> None:
         for signal in settings.signals:
             if signal.quantity not in (*MEASURED, *WHOLE_ARM, "fault"):
                 raise UsageError(

@@ -23,8 +23,7 @@ from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can.bus_server import BusServer, message_of, table_keys
 from sim_drivers.can_signals.arm import TableArm
-from sim_drivers.faults import BlockJoint, ClockJump, Fault, Heat, Mute, OverTemperature, Stick
-from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.faults import Fault
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
 from sim_drivers.server import LONGEST_LAG, with_troubles
@@ -55,7 +54,7 @@ class ProprietaryCanServer(BusServer):
 
     def __init__(
         self,
-        arm: SimulatedArm,
+        arm: Plant,
         robot: Robot,
         connection: Mapping[str, object],
         folder: Path | None = None,
@@ -181,17 +180,17 @@ class ProprietaryCanServer(BusServer):
 
     def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         match fault:
-            case Mute(identifier, duration):
+            case Fault("mute", (identifier, duration)):
                 self._muted[identifier] = now + duration
-            case ClockJump(seconds):
+            case Fault("clock-jump", (seconds,)):
                 self._arm.clock_ahead += seconds
-            case OverTemperature(joint):
+            case Fault("over-temperature", (joint,)):
                 self._arm.fail(joint)
-            case Heat(joint, celsius):
+            case Fault("heat", (joint, celsius)):
                 self._arm.arm.heat(joint, celsius)
-            case BlockJoint(joint):
+            case Fault("block", (joint,)):
                 self._arm.arm.block(joint)
-            case Stick(quantity, joint):
+            case Fault("stick", (quantity, joint)):
                 self._arm.arm.stick(joint, quantity)
             case _:
                 super()._cause(bus, fault, now)

@@ -10,7 +10,7 @@ from drivers.canopen402.protocol.state_machine import INTERNAL_LIMIT_BIT
 from drivers.canopen402.samples.alignment import PER_MILLE
 from drivers.canopen402.setup.drive_limits import NO_TORQUE_LIMIT, NO_WINDOW
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, Profile, ReferenceMotion, Standstill
-from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
+from sim_drivers.canopen.object_dictionary import ObjectDictionary
 from sim_drivers.canopen.setup import DriveFeedback, DriveSetup
 from sim_drivers.canopen.state import State, StateMachine
 
@@ -19,6 +19,7 @@ BRAKE_DECELERATION = 20.0
 WARM, HOT = 80.0, 90.0
 """Housing temperatures [°C] of the warning bit and of the fault."""
 QUICK_STOP_OPTIONS = (0, 1, 2, 5, 6)
+MODES = (0, objects.MODE_PROFILE_POSITION, objects.MODE_CYCLIC_POSITION, objects.MODE_CYCLIC_TORQUE)
 
 FAULTY = (State.FAULT_REACTION_ACTIVE, State.FAULT)
 
@@ -245,14 +246,6 @@ class Axis:
         else:
             self._motion = Standstill(self.reference, BRAKE_DECELERATION)
 
-    def _set_mode(self, mode: int) -> None:
-        if mode not in (0, objects.MODE_PROFILE_POSITION, objects.MODE_CYCLIC_POSITION, objects.MODE_CYCLIC_TORQUE):
-            raise SdoAbortError(Abort.VALUE_RANGE)
-
-    def _set_quick_stop_option(self, option: int) -> None:
-        if option not in QUICK_STOP_OPTIONS:
-            raise SdoAbortError(Abort.VALUE_RANGE)
-
     def _number(self, item: objects.DriveObject) -> int:
         return self.objects.number(item.index, item.subindex)
 
@@ -293,8 +286,8 @@ class Axis:
         )
         for item, read in live:
             dictionary.live(item.index, item.subindex, read)
-        dictionary.on_write(objects.MODE.index, 0, self._set_mode)
-        dictionary.on_write(objects.QUICK_STOP_OPTION.index, 0, self._set_quick_stop_option)
+        dictionary.allow(objects.MODE.index, 0, MODES)
+        dictionary.allow(objects.QUICK_STOP_OPTION.index, 0, QUICK_STOP_OPTIONS)
 
 
 def _int32(value: int) -> int:

@@ -12,7 +12,7 @@ from drivers.canopen402.protocol.state_machine import DISABLE_VOLTAGE, QUICK_STO
 from sim_drivers.canopen.axis import FAULTY, FOLLOWING_ERROR, OVER_TEMPERATURE, Axis
 from sim_drivers.canopen.error_control import NodeErrorControl
 from sim_drivers.canopen.motion import AxisReference
-from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError, SdoServer
+from sim_drivers.canopen.object_dictionary import ObjectDictionary, SdoServer
 from sim_drivers.canopen.pdo import ReceivePdo, TransmitPdo
 from sim_drivers.canopen.setup import DriveFeedback, DriveSetup, fixed_values
 
@@ -57,8 +57,8 @@ class SimulatedDrive:
         self.objects = ObjectDictionary(node, fixed_values(setup))
         self.axis = Axis(setup, feedback, self.objects, self._emergency)
         self.error_control = NodeErrorControl(self.objects, node, send)
-        self.objects.on_write(objects.ABORT_OPTION.index, 0, lambda value: _allow(value, tuple(objects.AbortOption)))
-        self.objects.on_write(objects.ERROR_BEHAVIOUR.index, 1, lambda value: _allow(value, (0, 1, 2)))
+        self.objects.allow(objects.ABORT_OPTION.index, 0, tuple(objects.AbortOption))
+        self.objects.allow(objects.ERROR_BEHAVIOUR.index, 1, (0, 1, 2))
         self.transmitted = tuple(TransmitPdo(self.objects, number) for number in range(3))
         self.received = tuple(ReceivePdo(self.objects, number) for number in range(2))
         self._sdo = SdoServer(self.objects)
@@ -210,8 +210,3 @@ class SimulatedDrive:
     def _reconfigure(self) -> None:
         for pdo in (*self.transmitted, *self.received):
             pdo.configured()
-
-
-def _allow(value: int, values: tuple[int, ...]) -> None:
-    if value not in values:
-        raise SdoAbortError(Abort.VALUE_RANGE)

@@ -22,7 +22,7 @@ from sim_drivers.canopen.drive import SimulatedDrive
 from sim_drivers.canopen.error_control import HIGHEST_NODE
 from sim_drivers.canopen.motion import SyncClock
 from sim_drivers.canopen.setup import DriveFeedback, DriveSetup
-from sim_drivers.plant.arm import DrivenArm
+from sim_drivers.plant.plant import Plant
 from sim_drivers.server import LONGEST_LAG
 
 LOOP_PERIOD = 1e-3
@@ -102,7 +102,7 @@ class DriveNetwork:
 
     def __init__(
         self,
-        arm: DrivenArm,
+        arm: Plant,
         robot: Robot,
         settings: CanopenSettings,
         start: float = 0.0,

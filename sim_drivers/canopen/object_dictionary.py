@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -145,6 +145,15 @@ class ObjectDictionary:
     def on_write(self, index: int, subindex: int, check: Callable[[int], None]) -> None:
         """Called before a value is stored; may raise SdoAbortError to refuse it."""
         self._checks[index, subindex] = check
+
+    def allow(self, index: int, subindex: int, values: Container[int]) -> None:
+        """Refuse all other values that are written there."""
+
+        def check(value: int) -> None:
+            if value not in values:
+                raise SdoAbortError(Abort.VALUE_RANGE)
+
+        self.on_write(index, subindex, check)
 
     def entry(self, index: int, subindex: int) -> ObjectEntry:
         """The variable at a place.

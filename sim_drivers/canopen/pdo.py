@@ -35,7 +35,7 @@ class _Pdo:
         self._objects = objects
         self._communication, self._mapping = communication + pdo_index, mapping + pdo_index
         objects.on_write(self._communication, 1, self._check_identifier)
-        objects.on_write(self._communication, 2, self._check_type)
+        objects.allow(self._communication, 2, (*range(LARGEST_SYNCHRONOUS + 1), *EVENT_DRIVEN))
         objects.on_write(self._mapping, 0, self._check_count)
         for place in range(1, LONGEST_PDO + 1):
             objects.on_write(self._mapping, place, self._check_place)
@@ -68,10 +68,6 @@ class _Pdo:
         if self.identifier is not None and not value & INVALID and value & 0x7FF != self.identifier:
             raise SdoAbortError(Abort.DEVICE_STATE)  # an existing PDO keeps its COB-ID
         if value & 0x3FFFF800 or not 0x181 <= value & 0x7FF <= 0x57F:
-            raise SdoAbortError(Abort.VALUE_RANGE)
-
-    def _check_type(self, value: int) -> None:
-        if value > LARGEST_SYNCHRONOUS and value not in EVENT_DRIVEN:
             raise SdoAbortError(Abort.VALUE_RANGE)
 
     def _check_place(self, value: int) -> None:

@@ -26,14 +26,12 @@ from drivers.canopen402.settings import CanopenSettings, parse_settings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
-from sim_drivers import faults
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 from sim_drivers.can.bus_server import BusServer, frame_of, message_of, with_options
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
 from sim_drivers.canopen.network import DriveNetwork, NetworkCounts
-from sim_drivers.faults import joint_index
-from sim_drivers.plant.arm import DrivenArm
+from sim_drivers.faults import Fault, joint_index
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
 from sim_drivers.server import with_troubles
@@ -75,7 +73,7 @@ class CanopenServer(BusServer):
 
     def __init__(
         self,
-        arm: DrivenArm,
+        arm: Plant,
         robot: Robot,
         settings: CanopenSettings,
         *,
@@ -172,27 +170,27 @@ class CanopenServer(BusServer):
     def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
         self._transmit(bus, frame)
 
-    def _cause(self, bus: can.BusABC, fault: faults.Fault, now: float) -> None:
+    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         match fault:
-            case faults.Heat(joint, celsius):
+            case Fault("heat", (joint, celsius)):
                 self._arm.heat(joint, celsius)
-            case faults.BlockJoint(joint):
+            case Fault("block", (joint,)):
                 self._arm.block(joint)
-            case faults.Stick(quantity, joint):
+            case Fault("stick", (quantity, joint)):
                 self.network.stick(joint, quantity)
-            case faults.PowerCycle(joint):
+            case Fault("power-cycle", (joint,)):
                 self.network.power_cycle(joint)
-            case faults.HeartbeatStop(joint):
+            case Fault("heartbeat-stop", (joint,)):
                 self.network.drives[joint].error_control.muted = True
-            case faults.OverTemperature(joint):
+            case Fault("over-temperature", (joint,)):
                 self.network.drives[joint].fault(OVER_TEMPERATURE)
-            case faults.Truncate(frames) if self.adapter is not None:
+            case Fault("truncate", (frames,)) if self.adapter is not None:
                 self.adapter.truncate(frames)
-            case faults.Garbage(frames) if self.adapter is not None:
+            case Fault("garbage", (frames,)) if self.adapter is not None:
                 self.adapter.garbage(frames)
-            case faults.Unplug() if self.adapter is not None:
+            case Fault("unplug", ()) if self.adapter is not None:
                 self.adapter.unplug()
-            case faults.Unplug():
+            case Fault("unplug", ()):
                 self.messages.append("there is no adapter to unplug; only --wire slcan has one")
             case _:
                 super()._cause(bus, fault, now)

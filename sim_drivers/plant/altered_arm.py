@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from daq.robot.schema import Truth, TruthLink
 from drivers.core.errors import RobotFileError, UsageError
 from drivers.core.ranges import LENGTH, PAYLOAD
+from ident.checks.urdf_guess import truth_link
 from ident.model.dynamic_model import build_model
-from ident.model.parameters import inertia_tensor
+from ident.model.parameters import link_parameters
 
 
 def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia: Sequence[float]) -> RobotFile:
@@ -38,20 +38,10 @@ def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia:
         raise RobotFileError(f"no true link for joint {last}", where=f"{robot.name}: truth.links")
     if not mass > 0:
         raise RobotFileError(f"a load of {mass:g} kg is not possible", where=robot.name)
-    masses = (link.mass, mass)
-    centres = (np.array(link.com), np.array(com) + np.array(robot.workspace.tool))
-    total = link.mass + mass
-    centre = (masses[0] * centres[0] + masses[1] * centres[1]) / total
-    tensor = sum(
-        inertia_tensor(about) + mass_of_body * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
-        for mass_of_body, about, offset in zip(
-            masses, (link.inertia, inertia), [other - centre for other in centres], strict=True
-        )
-    )
-    x, y, z = centre.tolist()
-    xx, xy, xz, _, yy, yz, _, _, zz = np.asarray(tensor).ravel().tolist()
-    loaded = TruthLink(mass=total, com=(x, y, z), inertia=(xx, xy, xz, yy, yz, zz))
-    return _with_truth(robot_file, robot.truth.model_copy(update={"links": {**robot.truth.links, last: loaded}}))
+    load = link_parameters(mass, (np.array(com) + robot.workspace.tool).tolist(), inertia)
+    loaded = truth_link(link_parameters(link.mass, link.com, link.inertia) + load)
+    truth = robot.truth.model_copy(update={"links": {**robot.truth.links, last: loaded}})
+    return robot_file.model_copy(update={"robot": robot.model_copy(update={"truth": truth})})
 
 
 def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
@@ -73,7 +63,3 @@ def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
             raise UsageError(f"{value:g} is not within {allowed}", where="--payload")
     com = np.array(values[1:]) - np.array(robot_file.robot.workspace.tool)
     return with_load(robot_file, values[0], com.tolist(), [0.0] * 6)
-
-
-def _with_truth(robot_file: RobotFile, truth: Truth) -> RobotFile:
-    return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"truth": truth})})

@@ -21,6 +21,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionLostError, UsageError
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, JointMotion, MoveJ, VelocityRamp
+from sim_drivers.rtde.session import Session
 from sim_drivers.rtde.urscript import UrscriptProgram
 from sim_drivers.rtde.variables import JOINTS, Value
 
@@ -155,12 +156,6 @@ class ControlScript:
         mass, *center = self._vector(controller, 0, 4).tolist()
         controller.values |= {"payload": mass, "payload_cog": tuple(center)}
 
-    def _step_time(self, controller: Controller) -> None:
-        self._answer_vector(controller, [controller.period])
-
-    def _trigger_protective_stop(self, controller: Controller) -> None:
-        controller.protective_stop("asked for by the program")
-
     def _set_watchdog(self, controller: Controller) -> None:
         frequency = float(self._vector(controller, 0, 1)[0])
         self._watchdog = frequency if math.isfinite(frequency) and frequency > 0 else 0.0
@@ -173,12 +168,6 @@ class ControlScript:
         """get_joint_torques: the measured torque less that of the arm's model."""
         measured = controller.measured
         self._answer_vector(controller, (measured.torque - measured.target_torque).tolist())
-
-    def _is_steady(self, controller: Controller) -> None:
-        self._answer_integer(controller, int(controller.steady))
-
-    def _stop_script(self, controller: Controller) -> None:
-        controller.stop_program()
 
     def _integer(self, controller: Controller, register: int) -> int:
         return int(controller.values[f"input_int_register_{self._offset + register}"])  # type: ignore[arg-type]
@@ -215,32 +204,22 @@ _ACTIONS: Mapping[int, Callable[[ControlScript, Controller], None]] = {
     SPEED_STOP: ControlScript._stop,
     SERVO_STOP: ControlScript._stop,
     SET_PAYLOAD: ControlScript._payload,
-    STEP_TIME: ControlScript._step_time,
-    TRIGGER_PROTECTIVE_STOP: ControlScript._trigger_protective_stop,
+    STEP_TIME: lambda script, controller: script._answer_vector(controller, [controller.period]),
+    TRIGGER_PROTECTIVE_STOP: lambda _, controller: controller.protective_stop("asked for by the program"),
     STOPL: ControlScript._stop_move,
     STOPJ: ControlScript._stop_move,
     SET_WATCHDOG: ControlScript._set_watchdog,
     JOINTS_WITHIN_LIMITS: ControlScript._joints_within_limits,
     JOINT_TORQUES: ControlScript._joint_torques,
-    IS_STEADY: ControlScript._is_steady,
-    STOP_SCRIPT: ControlScript._stop_script,
+    IS_STEADY: lambda script, controller: script._answer_integer(controller, int(controller.steady)),
+    STOP_SCRIPT: lambda _, controller: controller.stop_program(),
 }
 
 
-class ScriptSession:
-    """One client of the script port."""
+class ScriptSession(Session):
+    """One client of the script port; a program continues when its client disconnects."""
 
-    def __init__(self, controller: Controller) -> None:
-        self.closing = False
-        self._controller = controller
-        self._pending = ""
-
-    def greeting(self) -> bytes:
-        """No greeting."""
-        return b""
-
-    def close(self) -> None:
-        """A program continues when its client disconnects."""
+    _pending = ""
 
     def receive(self, chunk: bytes) -> bytes:
         """Start every program that is complete with this chunk."""

@@ -17,8 +17,8 @@ import numpy as np
 from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.plant.control import Reference
+from sim_drivers.plant.plant import Plant
 from sim_drivers.plant.sensors import Measurement
 from sim_drivers.rtde.joint_motion import JointMotion, ServoJ, VelocityRamp
 from sim_drivers.rtde.variables import JOINTS, SIZES, ControllerVersion, Value, input_variables, output_variables, zero
@@ -87,7 +87,7 @@ class Controller:
     """
 
     def __init__(
-        self, arm: SimulatedArm, version: ControllerVersion, period: float, joints: Sequence[JointLimits] | None = None
+        self, arm: Plant, version: ControllerVersion, period: float, joints: Sequence[JointLimits] | None = None
     ) -> None:
         measured = arm.measure()
         count = len(measured.position)

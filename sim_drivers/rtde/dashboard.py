@@ -15,26 +15,21 @@ import numpy as np
 
 from drivers.core.errors import ConnectionLostError
 from drivers.rtde.configuration import CONFIGURATION_DATA, CONTENT, HEADER, ROBOT_STATE
-from sim_drivers.rtde.controller import NORMAL, Controller
+from sim_drivers.rtde.controller import NORMAL
+from sim_drivers.rtde.session import Session
 
 LONGEST_LINE = 4096
 SERIAL_NUMBER = "20000000000"
 
 
-class DashboardSession:
+class DashboardSession(Session):
     """One client of the dashboard."""
 
-    def __init__(self, controller: Controller) -> None:
-        self.closing = False
-        self._controller = controller
-        self._pending = b""
+    _pending = b""
 
     def greeting(self) -> bytes:
         """Greeting of the dashboard."""
         return b"Connected: Universal Robots Dashboard Server\n"
-
-    def close(self) -> None:
-        """Nothing to close."""
 
     def receive(self, chunk: bytes) -> bytes:
         """Answer every line that is complete."""
@@ -91,12 +86,8 @@ _REST = struct.Struct(">4i")
 """Numbers of board, box, robot and variant."""
 
 
-class SecondarySession:
+class SecondarySession(Session):
     """One client of the secondary interface."""
-
-    def __init__(self, controller: Controller) -> None:
-        self.closing = False
-        self._controller = controller
 
     def greeting(self) -> bytes:
         """The joints' limits and the arm's lengths."""
@@ -108,9 +99,6 @@ class SecondarySession:
         content = CONTENT.pack(*position.ravel(), *motion.ravel(), *[0.0] * 5, *table) + _REST.pack(*[0] * 4)
         package = HEADER.pack(HEADER.size + len(content), CONFIGURATION_DATA) + content
         return HEADER.pack(HEADER.size + len(package), ROBOT_STATE) + package
-
-    def close(self) -> None:
-        """Nothing to close."""
 
     def receive(self, _chunk: bytes) -> bytes:
         """Nothing: scripts go to port 30003 here."""

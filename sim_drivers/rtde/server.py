@@ -20,8 +20,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits
 from drivers.core.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from sim_drivers import faults
-from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.faults import Fault
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.control_script import ScriptSession
 from sim_drivers.rtde.controller import Controller
@@ -85,7 +84,7 @@ class RtdeServer(FaultyServer):
 
     def __init__(
         self,
-        plant: SimulatedArm,
+        plant: Plant,
         host: str = "127.0.0.1",
         version: str = "5.22",
         rate: float | None = None,
@@ -222,34 +221,36 @@ class RtdeServer(FaultyServer):
         status.faulted += withheld
         status.safety_mode, status.playing = self.controller.safety_mode, self.controller.script is not None
 
-    def _cause(self, fault: faults.Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
+    def _cause(self, fault: Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
         match fault:
-            case faults.Drop(count):
+            case Fault("drop", (count,)):
                 for connection in self._connections:
                     if isinstance(connection.session, RtdeSession):
                         connection.session.withhold += count
-            case faults.Freeze(duration):
+            case Fault("freeze", (duration,)):
                 self._frozen_until = self._clock.now() + duration
-            case faults.Cut():
+            case Fault("cut", ()):
                 for connection in self._connections:
                     if isinstance(connection.session, RtdeSession):
                         connection.close()
-            case faults.ProtectiveStop():
+            case Fault("protective-stop", ()):
                 self.controller.protective_stop("on request")
-            case faults.LocalControl():
+            case Fault("local-control", ()):
                 self.controller.remote_control = False
-            case faults.Heat(joint, celsius):
+            case Fault("heat", (joint, celsius)):
                 self.controller.arm.heat(joint, celsius)
-            case faults.BlockJoint(joint):
+            case Fault("block", (joint,)):
                 self.controller.arm.block(joint)
-            case faults.Stick(quantity, joint):
+            case Fault("stick", (quantity, joint)):
                 self.controller.arm.stick(joint, quantity)
-            case faults.Refuse(variable):
+            case Fault("refuse", (variable,)):
                 self.controller.refused.add(variable)
-            case faults.ClockJump(seconds):
+            case Fault("clock-jump", (seconds,)):
                 self.controller.clock_ahead += seconds
-            case faults.Drift(joint, velocity):
+            case Fault("drift", (joint, velocity)):
                 self.controller.drift(joint, velocity)
+            case _:
+                raise NotImplementedError(f"{self._kind}: {fault.word}")
 
     def _attend(self, timeout: float) -> None:
         """Read and write where sockets are ready, waiting for them at most `timeout` [s]."""

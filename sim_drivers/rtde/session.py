@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import socket
 import struct
+from abc import ABC, abstractmethod
 from collections import deque
-from typing import Protocol
 
 from drivers.core.errors import ConnectionLostError
 from drivers.rtde import protocol as wire
@@ -30,14 +30,18 @@ MAXIMUM_RECIPES = 255
 MAXIMUM_PACKAGE = 0xFFFF
 
 
-class Session(Protocol):
+class Session(ABC):
     """The protocol between one client and the server, without the socket."""
 
-    closing: bool
+    def __init__(self, controller: Controller) -> None:
+        self.closing = False
+        self._controller = controller
 
     def greeting(self) -> bytes:
-        """Greeting of the server."""
+        """Greeting of the server; it waits for the client's first words where empty."""
+        return b""
 
+    @abstractmethod
     def receive(self, chunk: bytes) -> bytes:
         """Process received data and return the answer.
 
@@ -45,7 +49,7 @@ class Session(Protocol):
             ConnectionLostError: the client does not follow this protocol.
         """
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027
         """The client has disconnected."""
 
 
@@ -109,7 +113,7 @@ class ClientConnection:
             self.session.close()
 
 
-class RtdeSession:
+class RtdeSession(Session):
     """Set-up of one client, and its data.
 
     `owners`, input variable → the session that writes it, is shared by all sessions.
@@ -121,10 +125,9 @@ class RtdeSession:
     """
 
     def __init__(self, controller: Controller, owners: dict[str, RtdeSession]) -> None:
-        self.closing = False
+        super().__init__(controller)
         self.running = False
         self.withhold = 0
-        self._controller = controller
         self._owners = owners
         self._splitter = wire.PackageSplitter()
         self._negotiated = False
@@ -135,10 +138,6 @@ class RtdeSession:
         self._waiting: deque[dict[str, Value]] = deque()
         self._share = 1.0
         self._ticks = 0
-
-    def greeting(self) -> bytes:
-        """RTDE's server waits for the client's first package."""
-        return b""
 
     def close(self) -> None:
         """Free the inputs that this client wrote."""

@@ -32,7 +32,7 @@ from drivers.serial_servos.packets import (
     Packet,
 )
 from drivers.serial_servos.settings import ServoSettings, parse_settings
-from sim_drivers import faults
+from sim_drivers.faults import Fault
 from sim_drivers.plant.clocked_arm import start_position
 from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
@@ -293,41 +293,43 @@ class SerialServoServer(FaultyServer):
             return answer[:-1] + bytes([answer[-1] ^ 1])
         return answer
 
-    def _apply(self, fault: faults.Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
+    def _apply(self, fault: Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
         match fault:
-            case faults.Drop(count):
+            case Fault("drop", (count,)):
                 self._drop += count
-            case faults.Freeze(duration):
+            case Fault("freeze", (duration,)):
                 self._frozen_until = now + duration
-            case faults.Garbage(count):
+            case Fault("garbage", (count,)):
                 self._garbage += count
-            case faults.Truncate(count):
+            case Fault("truncate", (count,)):
                 self._truncate += count
-            case faults.WrongSum(count):
+            case Fault("wrong-sum", (count,)):
                 self._wrong += count
-            case faults.Latency(seconds):
+            case Fault("latency", (seconds,)):
                 self._latency = seconds
-            case faults.Echo():
+            case Fault("echo", ()):
                 self._echo = True
-            case faults.Sag(duration):
+            case Fault("sag", (duration,)):
                 self._sag_until = now + duration
                 for servo in self.servos:
                     servo.errors |= 1 << VOLTAGE
-            case faults.Heat(joint, celsius):
+            case Fault("heat", (joint, celsius)):
                 self.plant.heat(joint, celsius)
-            case faults.BlockJoint(joint):
+            case Fault("block", (joint,)):
                 self.plant.arm.block(joint)
-            case faults.Die(joint):
+            case Fault("die", (joint,)):
                 self.servos[joint].dead = True
-            case faults.SameId(joint):
+            case Fault("same-id", (joint,)):
                 self._twice.add(self.servos[joint].motor.id)
-            case faults.PowerCycle(joint):
+            case Fault("power-cycle", (joint,)):
                 self.servos[joint].restart(now)
-            case faults.OverTemperature(joint):
+            case Fault("over-temperature", (joint,)):
                 self.servos[joint].protect(HEAT)
-            case faults.Unplug():
+            case Fault("unplug", ()):
                 self._plugged = False
                 self._line.pull_out()
+            case _:
+                raise NotImplementedError(f"{self._kind}: {fault.word}")
         self.plant.changed()
 
     def _read(self) -> bytes:

@@ -25,7 +25,7 @@ from drivers.core.errors import UsageError
 from drivers.core.units import ZERO_CELSIUS
 from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
-from sim_drivers.faults import Fault, Freeze, Heat, Noise, Replug, Stick, Unplug
+from sim_drivers.faults import Fault
 from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
 from sim_drivers.served import Served, SimOptions
@@ -151,17 +151,19 @@ class ThermometerServer(FaultyServer):
     def cause(self, fault: Fault) -> None:
         """Apply a fault at once; from any thread."""
         match fault:
-            case Freeze(duration):
+            case Fault("silent", (duration,)):
                 self._silent_until = self._clock.now() + duration
-            case Noise(duration):
+            case Fault("garbage", (duration,)):
                 self._garbage_until = self._clock.now() + duration
-            case Stick():
+            case Fault("stick", ()):
                 celsius = np.array(self._temperatures())
                 self._temperatures = lambda: celsius
-            case Unplug(until_replugged):
-                self.unplug(until_replugged)
-            case Replug():
+            case Fault("unplug", duration):
+                self.unplug(*duration)
+            case Fault("replug", ()):
                 self.replug()
+            case _:
+                raise NotImplementedError(f"{self._kind}: {fault.word}")
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"thermometer": self._send}
@@ -335,7 +337,7 @@ class ThermometerAlone(FaultyServer):
 
     def cause(self, fault: Fault) -> None:
         """Apply a fault: heat at the plant's next period, all others at once."""
-        if isinstance(fault, Heat):
+        if fault.word == "heat":
             super().cause(fault)
         else:
             self._thermometer.cause(fault)
@@ -349,8 +351,7 @@ class ThermometerAlone(FaultyServer):
             if self._stopping.wait(begun + count * PERIOD - self._clock.now()):
                 return
             for fault in self._new_faults():
-                if isinstance(fault, Heat):
-                    self._plant.heat(fault.joint, fault.celsius)
+                self._plant.heat(*fault.values)
             self._plant.advance(PERIOD)
 
 

@@ -11,37 +11,37 @@ from drivers.core.errors import UsageError
 from sim_drivers import faults
 
 JOINTS = ("pan", "elbow")
-TYPED: dict[str, tuple[str, faults.Fault]] = {
-    "drop N": ("drop 5", faults.Drop(5)),
-    "freeze SECONDS": ("  freeze 0.5 ", faults.Freeze(0.5)),
-    "cut": ("cut", faults.Cut()),
-    "protective-stop": ("protective-stop", faults.ProtectiveStop()),
-    "local-control": ("local-control", faults.LocalControl()),
-    "mute IDENTIFIER SECONDS": ("mute 0x182 0.5", faults.Mute(0x182, 0.5)),
-    "clock-jump JUMP": ("clock-jump -0.5", faults.ClockJump(-0.5)),
-    "power-cycle JOINT": ("power-cycle 2", faults.PowerCycle(1)),
-    "heartbeat-stop JOINT": ("heartbeat-stop pan", faults.HeartbeatStop(0)),
-    "over-temperature JOINT": ("over-temperature elbow", faults.OverTemperature(1)),
-    "bus-off SECONDS": ("bus-off 2", faults.BusOff(2.0)),
-    "truncate N": ("truncate 1", faults.Truncate(1)),
-    "garbage N": ("garbage 2", faults.Garbage(2)),
-    "heat JOINT CELSIUS": ("heat elbow 12.5", faults.Heat(1, 12.5)),
-    "block JOINT": ("block 2", faults.BlockJoint(1)),
-    "drift JOINT RAD/S": ("drift 1 -0.5", faults.Drift(0, -0.5)),
-    "stick QUANTITY JOINT": ("stick current elbow", faults.Stick("current", 1)),
-    "stick": ("stick", faults.Stick()),
-    "refuse VARIABLE": ("refuse safety_mode", faults.Refuse("safety_mode")),
-    "silent SECONDS": ("silent 3", faults.Freeze(3.0)),
-    "garbage SECONDS": ("garbage 0.5", faults.Noise(0.5)),
-    "unplug": ("unplug", faults.Unplug()),
-    "unplug SECONDS": ("unplug 2.5", faults.Unplug(2.5)),
-    "replug": ("replug", faults.Replug()),
-    "die JOINT": ("die pan", faults.Die(0)),
-    "same-id JOINT": ("same-id 2", faults.SameId(1)),
-    "sag SECONDS": ("sag 0.5", faults.Sag(0.5)),
-    "wrong-sum N": ("wrong-sum 3", faults.WrongSum(3)),
-    "latency SECONDS": ("latency 0.016", faults.Latency(0.016)),
-    "echo": ("echo", faults.Echo()),
+TYPED: dict[str, tuple[str, tuple[object, ...]]] = {
+    "drop N": ("drop 5", (5,)),
+    "freeze SECONDS": ("  freeze 0.5 ", (0.5,)),
+    "cut": ("cut", ()),
+    "protective-stop": ("protective-stop", ()),
+    "local-control": ("local-control", ()),
+    "mute IDENTIFIER SECONDS": ("mute 0x182 0.5", (0x182, 0.5)),
+    "clock-jump JUMP": ("clock-jump -0.5", (-0.5,)),
+    "power-cycle JOINT": ("power-cycle 2", (1,)),
+    "heartbeat-stop JOINT": ("heartbeat-stop pan", (0,)),
+    "over-temperature JOINT": ("over-temperature elbow", (1,)),
+    "bus-off SECONDS": ("bus-off 2", (2.0,)),
+    "truncate N": ("truncate 1", (1,)),
+    "garbage N": ("garbage 2", (2,)),
+    "heat JOINT CELSIUS": ("heat elbow 12.5", (1, 12.5)),
+    "block JOINT": ("block 2", (1,)),
+    "drift JOINT RAD/S": ("drift 1 -0.5", (0, -0.5)),
+    "stick QUANTITY JOINT": ("stick current elbow", ("current", 1)),
+    "stick": ("stick", ()),
+    "refuse VARIABLE": ("refuse safety_mode", ("safety_mode",)),
+    "silent SECONDS": ("silent 3", (3.0,)),
+    "garbage SECONDS": ("garbage 0.5", (0.5,)),
+    "unplug": ("unplug", ()),
+    "unplug SECONDS": ("unplug 2.5", (2.5,)),
+    "replug": ("replug", ()),
+    "die JOINT": ("die pan", (0,)),
+    "same-id JOINT": ("same-id 2", (1,)),
+    "sag SECONDS": ("sag 0.5", (0.5,)),
+    "wrong-sum N": ("wrong-sum 3", (3,)),
+    "latency SECONDS": ("latency 0.016", (0.016,)),
+    "echo": ("echo", ()),
 }
 SERVERS: tuple[faults.ServerKind, ...] = (
     "UR controller",
@@ -59,9 +59,9 @@ def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: fault
     assert {entry.usage for entry in faults.FAULTS} == set(TYPED)
     obeyed = faults.usage(server).removeprefix("thermometer ").split(" | ")
     words = {(row.split()[0], len(row.split())) for row in obeyed}
-    for row, (line, fault) in TYPED.items():
+    for row, (line, values) in TYPED.items():
         if row in obeyed:
-            assert faults.parse_fault(line, server, JOINTS) == fault
+            assert faults.parse_fault(line, server, JOINTS) == faults.Fault(row.split()[0], values)
         elif (row.split()[0], len(row.split())) not in words:
             with pytest.raises(UsageError, match=f"'{line.strip()}' is not a fault of the {server}") as refused:
                 faults.parse_fault(line, server, JOINTS)

@@ -21,7 +21,7 @@ from drivers.rtde.driver import RtdeDriver
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
 from drivers.rtde.protocol import Connect
 from drivers.rtde.servo_program import ServoProgram
-from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.plant.plant import Plant
 from sim_drivers.plant.sensors import Measurement
 from sim_drivers.rtde.server import Ports, RtdeServer, Service
 
@@ -64,7 +64,7 @@ def serving(server: RtdeServer) -> Iterator[Network]:
 class RememberedArm:
     """An arm that keeps its measurements, one per period."""
 
-    def __init__(self, arm: SimulatedArm) -> None:
+    def __init__(self, arm: Plant) -> None:
         self.times: list[float] = []
         self._arm = arm
         self._measured: list[dict[str, FloatArray]] = []

@@ -19,7 +19,6 @@ from simulated_clock import START, SimulatedClock
 
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
-from sim_drivers.faults import Cut, Drop, Freeze, Heat, ProtectiveStop
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.server import LONGEST_LAG, MAXIMUM_CONNECTIONS, Ports, RtdeServer, Service
 from sim_drivers.rtde.session import RtdeSession
@@ -162,7 +161,7 @@ def test_dropped_packages_leave_a_gap_in_the_timestamps(wires: Wires) -> None:
     client = wires.client()
     client.stream(["timestamp"])
     client.row()
-    wires.server.cause(Drop(7))
+    wires.server.obey("drop 7")
     stamps = stamps_of(client, 100)
     assert sorted(np.rint(np.diff(stamps) / PERIOD))[-2:] == [1.0, 1.0]
     assert stamps[0] == pytest.approx(wires.clock.now() - START - 98 * PERIOD)
@@ -174,7 +173,7 @@ def test_dropped_packages_are_counted_for_each_client(wires: Wires) -> None:
     fast.stream(["timestamp"])
     slow.stream(["timestamp"], 50.0)
     stamps = [*stamps_of(slow, 1)]
-    wires.server.cause(Drop(2))
+    wires.server.obey("drop 2")
     stamps += [*stamps_of(slow, 5)]
     assert np.max(np.diff(stamps)) == pytest.approx(3 * 0.02)
 
@@ -183,7 +182,7 @@ def test_a_frozen_controller_is_silent_and_then_goes_on(wires: Wires) -> None:
     client = wires.client()
     client.stream(["timestamp"])
     client.row()
-    wires.server.cause(Freeze(0.3))
+    wires.server.obey("freeze 0.3")
     begun = wires.clock.now()
     stamp = float(client.row()["timestamp"])
     assert wires.clock.now() - begun == pytest.approx(0.3 + PERIOD)
@@ -194,7 +193,7 @@ def test_a_frozen_controller_is_silent_and_then_goes_on(wires: Wires) -> None:
 def test_a_frozen_controller_hears_nothing_until_it_goes_on(wires: Wires) -> None:
     client = wires.client()
     wires.clock.sleep(0.1)
-    wires.server.cause(Freeze(0.3))
+    wires.server.obey("freeze 0.3")
     wires.clock.sleep(PERIOD)
     late = wires.client(greet=False)
     begun = wires.clock.now()
@@ -207,7 +206,7 @@ def test_a_cut_ends_rtde_connections_but_not_the_server(wires: Wires) -> None:
     client = wires.client()
     client.stream(["timestamp"])
     client.row()
-    wires.server.cause(Cut())
+    wires.server.obey("cut")
     with pytest.raises((EOFError, ConnectionResetError)):
         read_on(client)
     assert wires.still_serves()
@@ -218,8 +217,8 @@ def test_protective_stop_and_heat_are_seen_by_clients(wires: Wires) -> None:
     client.stream(["safety_mode", "safety_status_bits", "runtime_state", "joint_temperatures"])
     before = client.row()
     assert (before["safety_mode"], before["safety_status_bits"]) == (1, 1)
-    wires.server.cause(Heat(2, 15.0))
-    wires.server.cause(ProtectiveStop())
+    wires.server.obey("heat 3 15.0")
+    wires.server.obey("protective-stop")
     row = client.row()
     assert row["safety_mode"] == 3
     assert row["safety_status_bits"] >> 2 & 1

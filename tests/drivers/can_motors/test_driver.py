@@ -16,13 +16,8 @@ from drivers.can_motors.settings import parse_settings
 from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from sim_drivers.faults import Fault, parse_fault
 
 GOAL = START + [0.8, -0.6]
-
-
-def fault(line: str) -> Fault:
-    return parse_fault(line, "CAN motors", JOINTS)
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -283,7 +278,7 @@ def test_motors_that_are_refused(clock: SimulatedClock):
 @pytest.mark.parametrize("wire", WIRES)
 def test_an_id_of_two_motors_is_named_before_a_motion(clock: SimulatedClock, wire):
     with motors(clock, wire) as bench:
-        bench.server.cause(fault("same-id bend"))
+        bench.server.obey("same-id bend")
         with pytest.raises(ConnectionFailedError, match=r"bend \(id 7\): two motors answer to this id") as failure:
             bench.driver().open()
         assert "swing" not in str(failure.value)

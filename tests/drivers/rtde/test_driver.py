@@ -25,7 +25,6 @@ from drivers.gains import DriveGain
 from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
 from drivers.rtde.motion import STOP_LIMIT
 from drivers.streams import Batch
-from sim_drivers.faults import Freeze
 from sim_drivers.rtde.server import RtdeServer
 
 JOINTS = tuple(f"j{number}" for number in range(1, 7))
@@ -380,7 +379,7 @@ def test_a_controller_out_of_reach_does_not_hold_up_the_stop(clock: SimulatedClo
         driver.open()
         driver.start()
         driver.command(driver.read(1.0)[0].values["position"][-1])
-        server.cause(Freeze(60.0))
+        server.obey("freeze 60.0")
         clock.sleep(PERIOD)
         begun = clock.now()
         driver.stop()

@@ -15,14 +15,9 @@ from daq.recording.reader import read_recording
 from drivers.base import DriverSettings
 from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
 from drivers.serial_servos.budget import dynamixel_budget, feetech_budget
-from sim_drivers.faults import Fault, parse_fault
 
 GOAL = START + [1.0, -0.8]
 JOINTS = ("swing", "bend")
-
-
-def fault(line: str) -> Fault:
-    return parse_fault(line, "serial servos", JOINTS)
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -89,7 +84,7 @@ def _count(written: list[int], *_: object) -> int:
 def test_an_adapter_that_returns_what_is_sent(clock: SimulatedClock):
     for wire in WIRES:
         with servos(clock, wire) as bench:
-            bench.server.cause(fault("echo"))
+            bench.server.obey("echo")
             clock.sleep(0.05)
             with bench.opened() as driver:
                 driver.start()
@@ -168,7 +163,7 @@ def test_servos_that_are_refused(clock: SimulatedClock, tmp_path):
         with pytest.raises(ConnectionFailedError, match=r"bend \(id 7\) does not answer"):
             bench.driver().open()
         bench.server.servos[1].dead = False
-        bench.server.cause(fault("same-id 2"))
+        bench.server.obey("same-id 2")
         clock.sleep(0.05)
         with pytest.raises(ConnectionFailedError, match=r"bend \(id 7\) answers garbled \(two servos with this id"):
             bench.driver().open()
@@ -178,7 +173,7 @@ def test_servos_that_are_refused(clock: SimulatedClock, tmp_path):
         with pytest.raises(DriverStateError, match="operating mode 1"):
             driver.take_control()
         bench.server.servos[0].put("operating_mode", 0)
-        bench.server.cause(fault("over-temperature bend"))
+        bench.server.obey("over-temperature bend")
         clock.sleep(0.1)
         with pytest.raises(DriverStateError, match="in fault: over-temperature"):
             driver.take_control()
@@ -238,7 +233,7 @@ def test_eeprom_is_not_written_by_the_way(clock: SimulatedClock):
 
 def test_a_slow_adapter_is_named_with_what_to_do(clock: SimulatedClock):
     with servos(clock) as bench:
-        bench.server.cause(fault("latency 0.016"))
+        bench.server.obey("latency 0.016")
         clock.sleep(0.05)
         with bench.opened() as driver:
             said = [notice.message for notice in driver.notices()]
@@ -281,7 +276,7 @@ def test_servos_without_torque_show_what_is_recorded_side_by_side(clock: Simulat
         for quantity, values in rows[False].items():
             assert rows[True][quantity][-1] == pytest.approx(values[-1], abs=0.05), quantity
         # A servo whose power is interrupted shows other bytes from then on, and says that its torque is off.
-        clock.call_at(clock.now() + 1.1, lambda: bench.server.cause(fault("power-cycle bend")))
+        clock.call_at(clock.now() + 1.1, lambda: bench.server.obey("power-cycle bend"))
         report = bench.session(tmp_path / "run.h5", GOAL)
         assert "bend (id 7)" in str(report.stopped_by)
         position = read_recording(tmp_path / "run.h5").streams["joints"].channels["position"].values

@@ -40,7 +40,6 @@ from drivers.can_signals.table.signals import FrameLayout, batches, decode, fram
 from drivers.core.errors import UsageError
 from sim_drivers.can_signals.arm import FAULT_COMMAND, TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer
-from sim_drivers.faults import BusOff, Drop, Freeze, Garbage, Mute, Truncate
 from sim_drivers.plant.plant import Plant
 
 DBC = Path(__file__).resolve().parents[2] / "drivers" / "aubo_i5.dbc"
@@ -300,12 +299,12 @@ def test_a_row_is_handed_out_when_its_last_frame_came(
 
 
 FAULTS = {
-    "drop": (Drop(3), 1, "incomplete row"),
-    "truncate": (Truncate(2), 1, "2 frames too short for the table"),
-    "freeze": (Freeze(0.2), 40, "1 incomplete row; the last lacked frame 0x381"),
-    "mute": (Mute(0x182, 0.2), 40, f"the last lacked frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]})"),
-    "bus-off": (BusOff(0.2), 40, "1 error frame"),
-    "garbage": (Garbage(20), 0, ""),
+    "drop": ("drop 3", 1, "incomplete row"),
+    "truncate": ("truncate 2", 1, "2 frames too short for the table"),
+    "freeze": ("freeze 0.2", 40, "1 incomplete row; the last lacked frame 0x381"),
+    "mute": ("mute 0x182 0.2", 40, f"the last lacked frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]})"),
+    "bus-off": ("bus-off 0.2", 40, "1 error frame"),
+    "garbage": ("garbage 20", 0, ""),
 }
 """A fault, the rows that it costs, and what is told of it."""
 
@@ -317,7 +316,7 @@ def test_a_fault_costs_its_rows_and_nothing_else(
     caused, costs, told = FAULTS[fault]
     driver.start()
     blocks = read_for(driver, clock, 0.3)
-    server.cause(caused)
+    server.obey(caused)
     blocks += read_for(driver, clock, 1.2)
     cycles = np.rint(np.concatenate([block.time for block in blocks]) * RATE).astype(int)
     position = np.concatenate([block.values["position"] for block in blocks])

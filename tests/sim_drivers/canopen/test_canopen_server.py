@@ -22,7 +22,6 @@ from drivers.core.errors import ConnectionFailedError
 from sim_drivers.canopen.drive import BOOT_TIME
 from sim_drivers.canopen.object_dictionary import EDS_NAME, entries
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT, CanopenServer
-from sim_drivers.faults import BusOff, Drop, Freeze, Garbage, Truncate
 
 CHANNEL = "canopen-server"
 LOOK = LONGEST_WAIT + GRANULARITY + 1e-3
@@ -146,20 +145,20 @@ def test_faults_of_the_bus_are_seen(master: Master) -> None:
     everybody = [(0x180 + node, 2) for node in range(1, 7)]
     assert answers(master) == everybody
     server = master.server
-    server.cause(Drop(4))
+    server.obey("drop 4")
     master.hear(LOOK)
     assert answers(master) == everybody[4:]
-    server.cause(Truncate(2))
+    server.obey("truncate 2")
     master.hear(LOOK)
     assert answers(master) == [(0x181, 1), (0x182, 1), *everybody[2:]]
-    server.cause(Garbage(20))
+    server.obey("garbage 20")
     assert len(master.hear(LOOK)) == 20
-    server.cause(BusOff(0.3))
+    server.obey("bus-off 0.3")
     assert [one.id for one in master.hear(LOOK)] == [-1]
     assert answers(master) == []
     master.clock.sleep(0.2)
     assert answers(master) == everybody
-    server.cause(Freeze(0.3))
+    server.obey("freeze 0.3")
     master.hear(LOOK)
     assert answers(master) == []
     master.clock.sleep(0.2)

@@ -13,16 +13,16 @@ from daq.session.connections import keys_of_driver
 from drivers.connection_settings import read_settings
 from drivers.core.clock import Clock
 from sim_drivers.can.bus_server import BusServer
-from sim_drivers.faults import COUNT, SECONDS, Drop, FaultEntry, Freeze, Garbage
+from sim_drivers.faults import COUNT, SECONDS, FaultEntry
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
 from toy_bus.driver import FOLLOW, FRAME, MODE, SAMPLE, TARGET, ToyBusSettings
 
 KIND = "toy_bus drives"
 FAULTS = (
-    FaultEntry("drop", (COUNT,), Drop, (KIND,)),
-    FaultEntry("freeze", (SECONDS,), Freeze, (KIND,)),
-    FaultEntry("garbage", (COUNT,), Garbage, (KIND,)),
+    FaultEntry("drop", (COUNT,), (KIND,)),
+    FaultEntry("freeze", (SECONDS,), (KIND,)),
+    FaultEntry("garbage", (COUNT,), (KIND,)),
 )
 
 
