@@ -21,7 +21,7 @@ from ident.signals.prepared import Segment
 from sim_drivers.synthetic.measurement import random_fourier_motion
 
 PERIOD = 20.0
-"""Of the motion [s]; every data set samples one period evenly, so that no sample is there twice."""
+"""Period of the motion [s]; every data set samples one period evenly, so that no sample is there twice."""
 
 NOISE_STD = 0.5
 """White noise on the torques [N·m]."""

@@ -98,7 +98,7 @@ AFTERNOONS = (
         "dynid validate model third.h5 --model-file arm-as-it-came.xml",
     ),
 )
-"""As they stand in the docs, each afternoon in a folder of its own with recordings and what `BEFORE` puts there."""
+"""Commands of the docs, each afternoon in a folder of its own with recordings and what `BEFORE` puts there."""
 
 EXECUTED = {line for afternoon in AFTERNOONS for line in afternoon}
 

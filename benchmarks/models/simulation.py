@@ -33,7 +33,7 @@ SWING, PACE = 0.2, 2.0
 """Amplitude [rad] and angular frequency [rad/s] of the sine."""
 
 STIFFNESS, DAMPING = 400.0, 40.0
-"""Of the controller, times each joint's inertia [1/s², 1/s]."""
+"""Stiffness and damping of the controller, times each joint's inertia [1/s², 1/s]."""
 
 SHARP = 0.01
 """[rad/s] of the loop's tanh in place of the sign of a velocity."""

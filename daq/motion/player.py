@@ -32,7 +32,7 @@ DRY_RUN = 0.3
 DRY_RUN_PERIODS = 5
 """Median lateness in the dry run, in periods, from which this computer is too slow for the rate."""
 _SHORTEST_RAMP, _LONGEST_RAMP = 0.05, 6.4
-"""Of the ramps [s] by which a motion goes on after a stall; doubled until one keeps the acceleration limit."""
+"""Ramps [s] by which a motion goes on after a stall; doubled until one keeps the acceleration limit."""
 _AHEAD = 128
 """Positions that are evaluated at once."""
 

@@ -18,7 +18,7 @@ ASSUMED_VELOCITY = {"rad": 1.0, "m": 0.1}
 """Velocity limit where the URDF states none [rad/s, m/s]: slow for an arm, so that it is on the safe side."""
 
 FRAMES_PER_SECOND = 2000.0
-"""Of samples on the simulated bus of 1 Mbit/s, which they fill to 80 % at worst."""
+"""Frames of samples per second on the simulated bus of 1 Mbit/s, which they fill to 80 % at worst."""
 
 MOST_SYNC = 125.0
 """[Hz], which a computer keeps that simulates the arm and records it at once."""

@@ -29,7 +29,7 @@ WAY, SLIDING_WAY = 0.15, 0.05
 SPEED = 0.25
 """[rad/s or m/s] at most."""
 SHARE = 0.2
-"""Of velocity and acceleration limits at most."""
+"""Largest share of velocity and acceleration limits."""
 RETRACTING = (
     f"after a contact it retracts by itself, by {WAY:g} rad ({SLIDING_WAY:g} m) at no more than {SPEED:g} rad/s; then "
     "it holds"

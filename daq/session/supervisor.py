@@ -27,7 +27,7 @@ STALE_PERIODS = 5
 STALE_FLOOR = 0.05
 """A PC stalls for tens of milliseconds itself: below this [s] that is indistinguishable from a silent source."""
 VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.0), "temperature": (5.0, 60.0)}
-"""Of each quantity with a limit, how old [s] the newest value may be at least, and where its rate is unknown."""
+"""Quantity with a limit: how old [s] its newest value may be at least, and where its rate is unknown."""
 
 
 OTHER_VELOCITY = "velocity channel"

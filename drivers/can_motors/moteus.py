@@ -24,7 +24,7 @@ STOPPED, FAULTY, POSITION_MODE, TIMEOUT_MODE = 0, 1, 10, 11
 ANSWER = 0x8000
 """Bit of an identifier that asks for an answer."""
 SCALES = {MOTOR_TEMPERATURE: 0.1, VOLTAGE: 0.1, BOARD_TEMPERATURE: 0.1}
-"""Of counts of 16 bits, by register: °C and V."""
+"""Size of a count of 16 bits, by register [°C and V]."""
 
 
 def padded(data: bytes) -> bytes:

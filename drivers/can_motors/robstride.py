@@ -20,7 +20,7 @@ FAULT_BITS = 0x3F
 READABLE = {0x7019: "position", 0x701B: "velocity", 0x701A: "current"}
 """Parameter → quantity that can be asked for without writing anything."""
 FORMATS = {0x7005: "<B3x", 0x7028: "<I"}
-"""Of parameters that are not floating-point numbers."""
+"""Formats of parameters that are not floating-point numbers."""
 
 
 class RobstrideCodec(MotorCodec):

@@ -61,7 +61,7 @@ STRIBECK_VELOCITY = Range(1e-4, 10.0, "rad/s or m/s")
 COEFFICIENTS = Range(1, 1000)
 """Harmonics or sines of a joint in a trajectory file; the check of the limits of 13,000 takes a minute and 4 GB."""
 PIECE = Range(1e-3, 86_400.0, "s")
-"""Of a move, or of all of a motion; shorter than a period of the commands it would be a step, and no check of limits on
+"""Duration of a move, or of a whole motion. Shorter than a command period it would be a step, and no check of limits on
 floating-point times could tell where."""
 SAMPLE_STEP = Range(1e-4, 86_400.0, "s")
 """Between samples of a trajectory."""

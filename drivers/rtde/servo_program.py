@@ -32,7 +32,7 @@ HOLD, SERVO, STOP = 0, 1, 2
 ANSWER_LIMIT = 5.0
 """How long [s] the controller may take to answer, or to start the program."""
 DECELERATION = 5.0
-"""Of the leading joint at a stop [rad/s²]."""
+"""Deceleration of the leading joint at a stop [rad/s²]."""
 STOPPING_LIMIT = 3.0
 """How long [s] the arm may take to come to rest."""
 LOOKAHEAD = 0.1

@@ -29,7 +29,7 @@ STATUS = 0x55
 FRAME = 10
 """Bytes of a packet without parameters."""
 LONGEST = 2048
-"""Of the bytes behind the length; what says more is no packet."""
+"""Most bytes behind the length; what says more is no packet."""
 
 
 class DynamixelProtocol:

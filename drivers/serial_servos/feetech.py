@@ -14,7 +14,7 @@ HEADER = b"\xff\xff"
 SHORTEST = 6
 """Bytes of a packet without parameters."""
 LONGEST = 0xFD
-"""Of the byte that says the length: parameters and two."""
+"""Largest value of the byte that says the length: parameters and two."""
 
 
 class FeetechProtocol:

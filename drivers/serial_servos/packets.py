@@ -13,7 +13,7 @@ PING, READ, WRITE = 0x01, 0x02, 0x03
 SYNC_READ, SYNC_WRITE = 0x82, 0x83
 """Instructions of both protocols."""
 FAST_SYNC_READ, BULK_READ, FAST_BULK_READ = 0x8A, 0x92, 0x9A
-"""Of the Dynamixel protocol."""
+"""Instructions of the Dynamixel protocol alone."""
 
 
 @dataclass(frozen=True)

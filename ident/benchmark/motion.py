@@ -15,7 +15,7 @@ from ident.model.dynamic_model import build_model
 from ident.signals.joint_signals import read_joint_signals
 
 ORDER = 4
-"""Of the Butterworth filter, which runs forward and backward."""
+"""Order of the Butterworth filter, which runs forward and backward."""
 
 EDGE = 2.0
 """Periods of the lower cut-off at each end that do not count: the filters see no samples beyond."""

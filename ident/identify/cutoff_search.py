@@ -29,13 +29,13 @@ GROWTH = 1.25
 ones are tried. It is 0.9 to 1.1 on TX40, UR10 and Panda, and 1.3 or more once their positions jitter by 4 ms."""
 
 LOWEST_HZ = 1.0
-"""Of the torque; half of the positions'."""
+"""Lowest cut-off of the torque [Hz]; half of the positions'."""
 
 BETTER = 0.8
 """Lower cut-offs are taken where they reduce the held-out error to this share or less."""
 
 AS_GOOD = 1.1
-"""Of several the highest whose error is within this factor of the least."""
+"""The highest cut-offs are taken whose error is within this factor of the least."""
 
 BLOCKS = 8
 """Parts of the data, every other one held out in turn."""

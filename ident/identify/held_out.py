@@ -44,13 +44,13 @@ COSTLY_DIFFERENCE = 0.02
 """Held-out error of the delivered model over the full one's, and minus it, beyond which a user has to choose."""
 
 RATED_SHARE = 0.03
-"""Of a joint's rated torque: with less torque than that, its error is compared with this much."""
+"""Share of a joint's rated torque; the error of a joint with less torque is divided by this much."""
 
 LARGEST_SHARE = 0.02
 """The same where the robot file rates no torque, of the largest torque (root mean square) of a joint of its kind."""
 
 LEAST_MOTION = 0.1
-"""Of the joint that departs most from constant velocity: a joint that departs less is compared with this much."""
+"""Share of the largest departure from constant velocity of a joint; one that departs less counts with this much."""
 
 
 @dataclass(frozen=True, eq=False)

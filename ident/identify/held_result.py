@@ -20,7 +20,7 @@ from ident.result.schema import BaseParameterResult, ModelOptions, Result
 from ident.result.units import parameter_unit
 
 ORIGIN = "friction experiment"
-"""Of values that were held."""
+"""Origin of values that were held."""
 
 
 def with_held_friction(result: Result, identification: Identification) -> Result:

@@ -15,7 +15,7 @@ from ident.result.models.gravity_model import GravityModel
 from ident.result.models.load_model import load_model
 
 FRICTION_SHARE = 0.5
-"""Of the friction that is compensated: all of it would let the arm run on by itself."""
+"""Share of the friction that is compensated: all of it would let the arm run on by itself."""
 FADING = 0.1
 """[rad/s or m/s] below which that fades: at rest, dry friction keeps the arm from drifting."""
 

@@ -15,7 +15,7 @@ from drivers.core.errors import UsageError
 from drivers.core.files import InputKind, check_input
 
 COLUMNS = ("start", "end")
-"""Of a file of contacts: seconds from the recording's first sample; further columns are ignored."""
+"""Columns of a file of contacts: seconds from the recording's first sample; further columns are ignored."""
 LABELS_FILE = InputKind("contacts", 10 * 2**20)
 AFTER = 0.3
 """Time [s] after a contact in which an alarm still belongs to it."""

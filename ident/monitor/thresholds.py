@@ -25,7 +25,7 @@ NEAR_REST = 0.02
 SETTLING = 3.0
 """Time constants of the observer after which what happened near rest is forgotten, or the start of a recording."""
 QUANTILE = 0.99
-"""Of |residual|, that spreads are learnt from; 2.576 of a normal distribution's σ."""
+"""Quantile of |residual| that spreads are learnt from; 2.576 of a normal distribution's σ."""
 NORMAL_QUANTILE = 2.576
 FEWEST_CONSTANTS = 20.0
 """Time constants of the observer that a way of motion must have been observed for; else it has the largest spread."""

@@ -32,7 +32,7 @@ PIECES = 160
 FINAL_PIECES = 200
 
 WANTED_PIECES, LONGEST_PIECE = 60, 12.0
-"""Of long recordings, the pieces of the final fit are longer [s], as long as there are so many: a model is judged by
+"""The final fit of long recordings has longer pieces [s], as long as there are so many: a model is judged by
 whole motions, and a piece begins at the measured position, which hides where friction would have stopped the joint."""
 
 LATE_GAIN, ZERO_GAIN = 0.05, 0.25

@@ -34,7 +34,7 @@ FEWEST_SEGMENTS = 12
 """Segments that the runs must have in common where bands are compared."""
 
 FEWEST_SAMPLES = 256
-"""That they must have in common."""
+"""Samples that the runs must have in common."""
 
 SAME_MOTION = 0.8
 """Share of a run's power that the other one explains, from which on they may be of one motion: simulated arms of one
@@ -67,7 +67,7 @@ OTHER_NOISE = 1.5
 simulated arm follows its motion exactly, another run has the same positions and as much noise."""
 
 SAMPLES = 1500
-"""Of a copy, that its estimate by interpolation is compared at."""
+"""Samples of a copy that are compared with the estimate by interpolation."""
 
 INTERVALS, PER_STEP = 10, 4
 """Averages before and after a sample of which a decimated one is estimated, and how many last as long as a step."""

@@ -31,7 +31,7 @@ USAGE = (
 )
 CONTACT_WORDS = ("push", "wall", "pick", "release")
 STIFFNESS, DAMPING = 2e4, 200.0
-"""Of a wall that names neither [N/m, N·s/m]."""
+"""Stiffness and damping of a wall that names neither [N/m, N·s/m]."""
 NUMBERS = {
     "force": Range(-1e4, 1e4, "N"),
     "place": Range(-100.0, 100.0, "m"),

@@ -60,9 +60,9 @@ TARGET_METHODS = ("iv:instruments=target",)
 PERIOD, DURATION = 10.0, 30.0
 ENCODER = 2e-5
 POSITION_STD, POSITION_CORRELATION = 5e-5, 0.7
-"""Of the coloured noise on positions [rad], and its lag-one correlation at 500 Hz."""
+"""Standard deviation [rad] of the coloured noise on positions, and its lag-one correlation at 500 Hz."""
 TORQUE_SHARE, TORQUE_CORRELATION = 0.03, 0.95
-"""Of the noise on torques, over their root mean square, and its lag-one correlation."""
+"""Standard deviation of the noise on torques, over their root mean square, and its lag-one correlation."""
 
 PREPROCESSING = {"default": PreprocessChoices(), "poor": PreprocessChoices(position_cutoff=80.0, torque_cutoff=40.0)}
 

@@ -33,7 +33,7 @@ RAMP = 2.0
 NOISE = 5.0
 """White torque noise of the UP6 [N·m]; its torques reach several hundred."""
 RESOLUTION = 1e-5
-"""Of its encoders [rad]."""
+"""Resolution of its encoders [rad]."""
 STARTS = 4
 RANDOM_MOTIONS = 5
 CRITERIA: tuple[CriterionName, ...] = (

@@ -34,7 +34,7 @@ STARTING = 300
 """[s] that a scheduler may take to listen."""
 
 CHANGING = {"created", "recordings", "files", "verdict"}
-"""Of a result: what carries dates and paths."""
+"""Keys of a result that carry dates and paths."""
 
 
 def recorded(folder: Path, arms: int, seconds: float) -> int:

@@ -35,7 +35,7 @@ from studies.synthetic.controlled_run import record_plant
 
 FRICTION = ("coulomb-viscous", "coulomb-viscous+power", "coulomb-viscous+power+stribeck+load", "auto")
 PLANT_TRAVELS = (5e-5, 5e-4, 2e-3, 5e-3)
-"""Of the simulated bristles [rad]; the first is that of the robot file."""
+"""Travels of the simulated bristles [rad]; the first is that of the robot file."""
 RATE = 500.0
 PERIOD = 20.0
 

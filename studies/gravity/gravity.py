@@ -30,7 +30,7 @@ from tests.support.random_arms import random_arm
 RATE = 25.0
 POSES = 200
 NOISE = 0.02
-"""Of arms without stated noise, over the root mean square of a joint's torque."""
+"""Noise of arms that state none, over the root mean square of a joint's torque."""
 
 
 def main(seeds: int, random_seeds: int) -> None:

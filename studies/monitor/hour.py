@@ -46,7 +46,7 @@ WEAR, SHIFT = 0.02, 1200.0
 CANDIDATES = 2
 """Random series of which the best is played; the search costs more than the simulation."""
 SEED = 1
-"""Of the plant: the arm keeps its ripple from one recording to the next."""
+"""Seed of the plant: the arm keeps its ripple from one recording to the next."""
 KINDS: tuple[Kind, ...] = ("direct", "momentum", "kalman")
 
 

@@ -14,7 +14,7 @@ from drivers.can_motors.tables import FAMILIES, motor_family
 from drivers.serial_servos.registers import ServoTable, known_models, servo_table
 
 BITS = {"damiao": 12, "cubemars": 12, "robstride": 16}
-"""Of a torque over both signs; the others tell floating-point numbers."""
+"""Bits of a torque over both signs; the others send floating-point numbers."""
 SIGNS = {"none": "none: a magnitude"}
 
 

@@ -45,7 +45,7 @@ MODELS = {
 SWEEP_FRICTION = "coulomb-viscous+power+load+temperature"
 IDENTIFICATION_SEED, VALIDATION_SEED = 1, 100
 TEMPERATURES = (COLD, 0.5 * (COLD + WARM), WARM)
-"""Of the housings at the beginning of the sweeps, and of the excitation where it is played three times [°C]."""
+"""Temperatures [°C] of the housings when the sweeps begin, and of the excitation where it is played three times."""
 SMOOTHED = 21
 """Samples of the velocity's Savitzky-Golay filter, 0.1 s."""
 

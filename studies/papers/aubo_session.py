@@ -46,7 +46,7 @@ PERIOD = 40.0
 """[s]: the paper's fundamental frequency, 0.05π, read as rad/s."""
 RAMP = 2.0
 TIME_CONSTANT = 0.3
-"""Of the warming, as a share of the session."""
+"""Time constant of the warming, as a share of the session."""
 
 
 def aubo(stribeck: float = STRIBECK) -> RobotFile:

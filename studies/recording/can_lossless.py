@@ -34,7 +34,7 @@ NODES = range(1, 7)
 TPDOS_A_CYCLE = 2 * len(NODES)
 INTERFACE, CHANNEL = "udp_multicast", f"239.76.{os.getpid() // 250 % 250 + 1}.{os.getpid() % 250 + 1}"
 PORT = 20000 + os.getpid() % 30000
-"""Of this run only: python-can's own listeners receive every group of a port."""
+"""Port of this run only: python-can's own listeners receive every group of a port."""
 MARGIN = 2.0
 """Seconds at both ends of the recording that are not counted."""
 LISTEN = """

@@ -34,9 +34,9 @@ from ident.result.schema import BaseParameterResult
 
 WIRES = ("rtde", "canopen", "can")
 SYNC_RATE = 250
-"""Of the drives on CANopen [Hz]."""
+"""SYNC rate of the drives on CANopen [Hz]."""
 SHARES = {"velocity": 0.35, "acceleration": 0.35, "torque": 0.5}
-"""Of the limits that the motion may use; the rest is for commands that a busy computer sends late."""
+"""Shares of the limits that the motion may use; the rest is for commands that a busy computer sends late."""
 REALTIME = ["--realtime"] if may_have_realtime() else []
 """Option of both ends where the system allows it."""
 WITHIN = 1.96

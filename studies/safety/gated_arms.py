@@ -27,12 +27,12 @@ JOINTS = (
 )
 LIMITS = GateLimits.of_joints(JOINTS)
 STEP, EVERY = 1e-3, 0.01
-"""Of the arm's interpolation [s]; its velocity and acceleration are means over the second, as counts are rounded."""
+"""Periods of the arm's interpolation, and of the means that are its velocity and acceleration, of counts [s]."""
 SETTLED = 0.3
 """How long [s] after a pause of the commands the arm's own reaction to it may last."""
 COUNTS = 524288 / (2.0 * np.pi)
 HEARTBEAT = 0.1
-"""Of CiA 402 drives [s], as where the connection does not say."""
+"""Default heartbeat of CiA 402 drives [s]."""
 BUSES = ("RTDE", "CiA 402", "signal table")
 
 

@@ -33,7 +33,7 @@ from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 COMMANDS, BREACHES = 20_000, 60
 LISTENER = socket.socket()
-"""Of the loopback arms."""
+"""Listening socket of the loopback arms."""
 
 
 class LoopbackArm:

@@ -37,7 +37,7 @@ from sim_drivers.synthetic.measurement import random_fourier_motion
 ROBOT = "ur5e"
 RATE = 500.0
 PLAIN = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
-"""With further terms and presliding, friction would take part of a delay."""
+"""Choices with plain friction: further terms and presliding would take part of a delay."""
 PERIOD = 20.0
 EARLY = -0.002
 DELAYS = (EARLY, 0.0, 0.002, 0.007)

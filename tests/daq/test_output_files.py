@@ -335,7 +335,7 @@ def test_an_unfinished_file_says_whose_place_it_was_to_take(tmp_path: Path, name
 
 
 def test_what_a_command_leaves_to_another_one_can_be_written_by_it(tmp_path: Path) -> None:
-    """As `dynid demo` leaves its recordings to the `dynid record` that it starts."""
+    """`dynid demo` leaves its recordings to the `dynid record` that it starts."""
     with outputs_of_a_command():
         with left_to_others():
             check_outputs([tmp_path / "run.h5"], overwrite=False)

@@ -193,7 +193,7 @@ def closed(*descriptors: int) -> None:
 
 
 def stream_at_start(number: int) -> TextIO | None:
-    """As the interpreter makes it."""
+    """Return the standard stream that the interpreter would make."""
     try:
         return os.fdopen(number, "rw"[number > 0], closefd=False)
     except OSError:

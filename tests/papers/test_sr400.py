@@ -156,7 +156,7 @@ def test_the_19_load_relations(model: DynamicModel, base: BaseParameters) -> Non
 def test_expressions_are_written_with_the_lengths_names(
     sr400: RobotFile, model: DynamicModel, base: BaseParameters
 ) -> None:
-    """As in the load relations above Table 4; d2 and d4 are told apart though both are 0.14 m here."""
+    """The load relations above Table 4 have them; d2 and d4 differ in name though both are 0.14 m here."""
     found = dict(zip(base.names, symbolic_expressions(sr400, model, base), strict=True))
     squares = "(d2² + d3² + d4²)"
     for name, terms in {

@@ -43,7 +43,7 @@ PATIENCE = 240.0
 SOME_ROWS = 10
 """A recording with more of them has been going on."""
 ENABLED = 0x0027
-"""Of the statusword's bits 0x006F: operation enabled."""
+"""Value of the statusword's bits 0x006F in "operation enabled"."""
 COUNTS_PER_RADIAN = 524288 / (2.0 * np.pi)
 _numbers = itertools.count(1)
 

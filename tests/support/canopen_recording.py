@@ -36,12 +36,12 @@ from sim_drivers.canopen.setup import DriveFeedback
 from sim_drivers.plant.plant import Plant, PlantSettings
 
 RADIANS = 2 * np.pi / 524288
-"""Of a count."""
+"""Angle of a count [rad]."""
 CHANNEL = "recorded"
 NODES = (1, 2, 3)
-"""Of the drives; six take twice as long to simulate."""
+"""Node ids of the drives; six take twice as long to simulate."""
 LOOP_PERIOD = 5e-3
-"""Of the drives' control loops [s], in which they take their references; a fifth as often as usual."""
+"""Period of the drives' control loops [s], in which they take their references; a fifth as often as usual."""
 
 
 @dataclass(frozen=True)

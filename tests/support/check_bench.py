@@ -211,7 +211,7 @@ class Bench:
         return runs
 
     def with_velocity(self, gains: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Recording:
-        """With a recorded velocity, each joint's times a factor."""
+        """Return the recording with a recorded velocity, each joint's times a factor."""
         recording = self.recorded()
         stream = recording.streams[JOINTS_STREAM]
         position = stream.channels["position"]

@@ -34,6 +34,6 @@ def _error(identifier: int, data: bytes) -> can.Message:
 
 
 def _truncated(identifier: int, length: int) -> can.Message:
-    """With a byte less than its length says."""
+    """Return a frame with a byte less than its length says."""
     data = bytes(length - 1)
     return can.Message(arbitration_id=identifier, dlc=length, data=data, is_extended_id=False, check=False)

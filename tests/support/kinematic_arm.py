@@ -17,7 +17,7 @@ RATE = 200.0
 NAMES = ("shoulder", "elbow")
 QUANTITIES = ("position", "velocity", "torque", "temperature")
 FIRST_STAMP = 100.0
-"""Of the arm's own clock, at `start` [s]."""
+"""Reading of the arm's own clock at `start` [s]."""
 ROBOT_FILE = parse_robot(
     """
 name: two-links

@@ -69,7 +69,7 @@ WIRES = ("damiao", "robstride", "cubemars", "moteus", "odrive")
 START = np.array([-np.pi / 2, 0.0])
 """[rad] where the arm hangs, limp."""
 STEP = 0.005
-"""Of the arm [s], half of a period; two and a half times the usual one, for two thirds of the time."""
+"""Simulation step of the arm [s], half of a period; two and a half times the usual one, for two thirds of the time."""
 CHANNELS = itertools.count()
 
 

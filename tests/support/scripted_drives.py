@@ -87,7 +87,7 @@ class ScriptedDrive:
     """Whether it stays in quick stop active (option code 6) instead of switching itself off (2)."""
     ignores_quick_stop: bool = False
     ramp: float = RAMP
-    """Of its quick stop [s]."""
+    """Duration of its quick stop [s]."""
     clears_faults: bool = True
     mode_accepted: bool = True
     drop: dict[int, set[int]] = field(default_factory=dict)

@@ -26,7 +26,7 @@ RATE = 500.0
 TOGETHER = 5
 """Samples that a read waits for: a session's cycle costs more than the plant's."""
 LOOKAHEAD = 0.03
-"""Of servoj [s]."""
+"""Look-ahead time of servoj [s]."""
 QUANTITIES = ("position", "velocity", "current", "temperature")
 
 

@@ -39,7 +39,7 @@ class SimulatedLine:
         self._clock = clock
 
     def fileno(self) -> int:
-        """Of the far end."""
+        """Return the file descriptor of the far end."""
         return self._far.fileno()
 
     def write(self, data: bytes) -> None:

@@ -30,9 +30,9 @@ ROBOT = ROBOT_FILE.robot
 JOINTS = ROBOT.joint_names
 KEYS = dict(ROBOT.connections["can"].model_extra or {})
 TIME = {"quantity": "time", "id": 0x181, "start": 48, "length": 16, "scale": 0.001, "unit": "s"}
-"""Of the arm, in place of its counter."""
+"""Signal of the arm's time, in place of its counter."""
 STEP = 2 * np.pi * 2.0**-20
-"""Of a position in a frame [rad]."""
+"""Step of a position in a frame [rad]."""
 RATE = 200.0
 PERIOD = 1 / RATE
 CYCLE_TIME = 9 * 135e-6
@@ -42,7 +42,7 @@ _CHANNELS = count()
 
 
 def keys(**more: object) -> dict[str, Any]:
-    """Of a connection on a bus of its own."""
+    """Return the keys of a connection on a bus of its own."""
     return KEYS | {"interface": "virtual", "channel": f"table-{next(_CHANNELS)}", "options": {}} | more
 
 

@@ -52,7 +52,7 @@ HALT_TIME = 0.1
 """What the arm takes to halt from that motion [s]."""
 FAULTS_APART = 0.2
 WAY = 0.3
-"""Of each joint [rad]."""
+"""Way of each joint [rad]."""
 COMMAND = "import sys; from dynid.command import main; sys.exit(main())"
 MINUTE = 60.0
 

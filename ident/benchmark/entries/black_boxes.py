@@ -10,7 +10,7 @@ from ident.benchmark.entry import TorquePredictor, Training
 
 NEIGHBOURS = 5
 PENALTY = 1e-3
-"""Of the ridge regression, on columns of unit variance, per row."""
+"""Weight of the ridge regression's penalty, per row, on columns of unit variance."""
 
 
 def _states(q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ DECIMATION = 2
 """Every second sample is compared."""
 
 ITERATIONS = 10
-"""Of Gauss-Newton, each with a roll-out of every motion per parameter."""
+"""Gauss-Newton iterations, each with a roll-out of every motion per parameter."""
 
 TERMS = {
     "stiffness": (20.0, 1.0, 500.0),

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from ident.tasks.servo import ServoModel
 
 SERVO = "servo"
-"""Of --method: commands and encoders in place of torques."""
+"""Value of --method that identifies from commands and encoders in place of torques."""
 
 TRAJECTORY_SUFFIXES = frozenset({".yaml", ".yml"})
-"""Of a motion in place of a recording."""
+"""Suffixes of a file that holds a motion in place of a recording."""
 
 SERVO_USE = "dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml"
 """What to do next with the model in a folder."""

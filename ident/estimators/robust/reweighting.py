@@ -40,7 +40,7 @@ PARAMETER_TOLERANCE = 1e-2
 MOST_PASSES = 40
 
 LEAST_WEIGHT = 0.5
-"""Of an equation that counts for what plain equations tell of a robust estimate (`without_rejected`)."""
+"""Weight from which an equation counts in the plain statistics of a robust estimate (`without_rejected`)."""
 
 Solve = Callable[[RegressorKernel, Reduction, FloatArray], LeastSquares]
 """The solution of a reduced system, after the parameters (b,) of the last one; what its residuals are those of."""

@@ -22,7 +22,7 @@ from ident.model.kinematics.joints import ancestors
 COAL_NEIGHBOURS = 255
 """Coal keeps the number of a vertex's neighbours in a byte (convex.hxx, `fillNeighbors`)."""
 FEWER_VERTICES = 200
-"""Of a hull in whose place another one is taken: none of them can have more neighbours than Coal takes."""
+"""Vertices of the hull that replaces one too large for Coal: none of them can have too many neighbours."""
 
 _TOUCHING = 1e-9
 """Segments closer than this [m] cross; the difference of their nearest points has no direction any more."""

@@ -44,7 +44,7 @@ GOOD_FRICTION, USABLE_FRICTION = 0.5, 1.0
 """… or over its friction: what is smaller does not move a joint that is released."""
 
 FEW_POSES = 8
-"""With fewer, held-out errors say little."""
+"""Number of poses below which held-out errors say little."""
 
 _SILENT = 1e-9
 

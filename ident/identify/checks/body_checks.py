@@ -54,7 +54,7 @@ DENIED_MISFIT = 16.0
 """Rise of the sum of squares (four σ) beyond which the data deny that centres lie near their links."""
 
 LEAST_SHARE = 0.005
-"""Of the arm's mass; the centre of a link lighter than that says nothing."""
+"""Share of the arm's mass below which a link's centre of mass says nothing."""
 
 
 def body_checks(

@@ -20,7 +20,7 @@ STATES = 200
 """Random states within the limits of positions, velocities and accelerations."""
 
 SHARES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)
-"""Of the velocity limits, for which the uncertainty is looked at; accelerations have their squares."""
+"""Shares of the velocity limits that the uncertainty is computed for; accelerations have their squares."""
 
 
 def extrapolation_checks(

@@ -49,7 +49,7 @@ APART = 0.5
 """[s]; bursts that are closer are one."""
 
 LEAST_LEVEL = 1e-6
-"""Of a joint's median squared residual: what is smaller is rounding."""
+"""Share of a joint's median squared residual below which a value is rounding."""
 
 _MEDIAN_OF_NORMAL = 0.6745
 
@@ -74,7 +74,7 @@ MOST_ERROR = 0.15
 """Relative error beyond the suspect windows, without them in the fit, up to which bursts are what is wrong."""
 
 LEAST_SHARE = 0.2
-"""Of a joint's squared residual, held by the suspect windows. With less in all joints, leaving them out lowers no
+"""Least share of a joint's squared residual in the suspect windows. With less in all joints, leaving them out lowers no
 joint's error by more than a tenth of itself, and nothing is gained."""
 
 ROBUST = ("irls", "iirls")

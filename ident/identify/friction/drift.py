@@ -19,7 +19,7 @@ from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
 PARTS = 20
-"""Of the recording; a part in which the joint does not count is left out."""
+"""Parts of the recording; one in which the joint does not count is left out."""
 
 VELOCITY_FRICTION = {kind for kind in DISSIPATIVE_KINDS if not TERM[kind].needs}
 

@@ -53,14 +53,14 @@ from ident.result.friction import FrictionStep
 from ident.result.schema import PreslidingTravel
 
 TRAVEL_ROUNDS = 2
-"""Of travels and all other parameters in turn; the second moves them by a fraction of the first."""
+"""Rounds of travels and all other parameters in turn; the second moves them by a fraction of the first."""
 
 LEAST_REVERSALS = 3
 """Different velocity reversals that a motor's data must hold before its friction gets further terms: a curve over the
 velocity needs more than one passage through it."""
 
 MOVING_SHARE = 0.05
-"""Of a velocity's root mean square, which a stroke between two reversals exceeds."""
+"""Share of a velocity's root mean square that a stroke between two reversals exceeds."""
 
 
 def fit_friction(

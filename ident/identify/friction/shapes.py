@@ -154,10 +154,10 @@ def _free_shapes(
 
 
 DISTANCE = np.sqrt(3.0)
-"""Of the quadrature's outer points from the estimate [σ of the shape]."""
+"""Distance of the quadrature's outer points from the estimate [σ of the shape]."""
 
 WEIGHT = 1.0 / 6.0
-"""Of each of them."""
+"""Weight of each outer point."""
 
 
 def with_curvature(

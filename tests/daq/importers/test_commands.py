@@ -33,7 +33,7 @@ def servo_samples(command_rate: float = 50.0) -> tuple[Arrays, Arrays]:
 
 
 def write_padded_csv(folder: Path, arrays: Arrays) -> Path:
-    """As spreadsheets write two streams side by side: the shorter one's cells stay empty."""
+    """Write two streams side by side, as spreadsheets do: the shorter one's cells stay empty."""
     columns = columns_of(arrays)
     longest = max(map(len, columns.values()))
     cells = {name: [repr(float(value)) for value in values] for name, values in columns.items()}
@@ -141,7 +141,7 @@ def test_a_recording_without_commands_says_how_to_import_them(tmp_path: Path, ro
 
 
 def so101_arrays() -> Arrays:
-    """As in the files of SAGE's SO-101: counts without a sign, the source's joint names."""
+    """Arrays like those of SAGE's SO-101: counts without a sign, the source's joint names."""
     time = np.arange(300) / 50.0
     q = 0.3 * np.sin(time[:, None] + np.arange(6)) + 0.5
     return {

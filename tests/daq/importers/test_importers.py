@@ -40,7 +40,7 @@ def write_mat5(folder: Path, arrays: Arrays) -> Path:
 
 
 def write_mat73(folder: Path, arrays: Arrays) -> Path:
-    """As MATLAB lays it out: a 512-byte header, matrices transposed, vectors as rows, the class as an attribute."""
+    """Write MATLAB's layout: a 512-byte header, matrices transposed, vectors as rows, the class as an attribute."""
     path = folder / "run73.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in arrays.items():
@@ -239,7 +239,7 @@ def test_cells_of_names_in_matlab_files_are_matched(tmp_path: Path, robot: Robot
 
 
 def test_named_csv_columns_go_before_any_order(tmp_path: Path, robot: RobotFile) -> None:
-    """As PlotJuggler exports a JointState topic."""
+    """The columns are those that PlotJuggler exports of a JointState topic."""
     arrays = samples(20)
     columns = {"__time": arrays["t"], "/joint_states/header/stamp": arrays["t"] + 5.0}
     for k in (2, 0, 1):

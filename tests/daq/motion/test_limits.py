@@ -18,7 +18,7 @@ from daq.robot.schema import JointLimits
 from drivers.core.errors import UsageError
 
 ROUNDING = 1e-6
-"""Of a value far from 0 s, as a share of the largest."""
+"""Rounding of a value far from 0 s, as a share of the largest."""
 
 
 def exponents(low: float, high: float) -> st.SearchStrategy[float]:

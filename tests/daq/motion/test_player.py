@@ -254,7 +254,7 @@ def test_a_path_joins_motions_at_its_ticks() -> None:
 
 
 class LateClock(SimulatedClock):
-    """Of a computer on which every sleep ends this late [s]."""
+    """Clock of a computer on which every sleep ends `lateness` [s] late."""
 
     lateness = 0.0
 

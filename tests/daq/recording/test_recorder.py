@@ -180,7 +180,7 @@ def test_what_does_not_fit_into_memory_is_counted(tmp_path: Path, clock: Simulat
 
 
 def test_a_disk_that_refuses_what_it_granted_is_an_error_and_the_file_is_recovered(tmp_path: Path) -> None:
-    """As one that fails does: the recorder owned the space that it was not allowed to write into."""
+    """A failing disk does this: the recorder owned the space that it was not allowed to write into."""
     path = tmp_path / "run.h5"
     path.write_text("old")
     script = textwrap.dedent(FULL_DISK).format(root=str(ROOT), support=str(ROOT / "tests" / "support"), path=str(path))

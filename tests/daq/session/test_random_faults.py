@@ -32,14 +32,14 @@ from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
 
 WAY, SHARE = 0.05, 0.9
-"""Of two joints [rad]; share of the acceleration limit that the motion uses."""
+"""Way of two joints [rad]; share of the acceleration limit that the motion uses."""
 LONGEST = 0.4
-"""Of what a fault lasts [s]."""
+"""Longest duration of a fault [s]."""
 MOMENTS = st.floats(-0.9, 0.3).map(lambda seconds: 0.9 + seconds)
-"""Of faults after the begin of a session [s]; the arm moves from 0.6 s to 1.2 s, and the simplest is in it."""
+"""When faults begin in a session [s]; the arm moves from 0.6 s to 1.2 s, and the simplest is in it."""
 LAST = 1.2
 JUMPS = st.one_of(st.floats(-1.0, 1.0), st.floats(-1e9, 1e9)).filter(lambda jump: jump != 0.0)
-"""Of a clock [s]."""
+"""Jumps of a clock [s]."""
 SETTLED = 0.5
 ARGUMENTS: dict[str, st.SearchStrategy[object]] = {
     "N": st.integers(1, 40),

@@ -20,9 +20,9 @@ from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.3, 0.1], [0.0, 0.0]]), np.array([0.8, 0.8]))
 PERIOD = 0.0225
-"""Of the thermometer's rows [s]; five of them end between two samples of the arm."""
+"""Period of the thermometer's rows [s]; five of them end between two samples of the arm."""
 STAMP = 5000.0
-"""Of the thermometer's own clock when it starts [s]."""
+"""Reading of the thermometer's own clock when it starts [s]."""
 CYCLE = 1.0 / RATE
 
 

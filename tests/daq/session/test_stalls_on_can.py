@@ -25,7 +25,7 @@ from daq.session.session import SessionReport
 from drivers.core.arrays import FloatArray
 
 SHARE = 0.9
-"""Of the acceleration limit that the motion uses."""
+"""Share of the acceleration limit that the motion uses."""
 PERIOD = 0.005
 BRIDGED = 0.012
 """A stall [s] that is bridged at 200 Hz."""

@@ -20,7 +20,7 @@ from drivers.core.arrays import FloatArray
 
 WAY = np.array([1.0, 0.8])
 SHARE = 0.6
-"""Of the acceleration limit that the motion uses."""
+"""Share of the acceleration limit that the motion uses."""
 
 
 def largest_torques(path: Path, bench: ModuleType, arm: Callable[[SimulatedClock], Any], stalls: int) -> FloatArray:

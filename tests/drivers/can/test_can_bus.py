@@ -26,7 +26,7 @@ from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 MINUTE = 60.0
 STAMP_ERROR = 1e-6
-"""Of the virtual bus's stamps, which are rounded as clocks of day are [s]."""
+"""Error of the virtual bus's stamps, which are rounded as clocks of day are [s]."""
 _CHANNELS = itertools.count()
 
 

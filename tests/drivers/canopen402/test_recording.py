@@ -36,7 +36,7 @@ PERIOD = 0.01
 FAULT = 1.605
 """When faults come [s], in mid motion and half a period after SYNC 160."""
 BEAT = 0.1
-"""Of heartbeats and of guarding, where a test gives it [s]."""
+"""Period of heartbeats and of guarding, where a test gives it [s]."""
 HEARTBEATS, GUARDING = f"{{heartbeat: {BEAT}}}", f"{{guarding: {{period: {BEAT}, factor: 3}}}}"
 LIMIT = HEARTBEATS_MISSED * BEAT
 LOOK = LONGEST_WAIT + TICKS_PER_CHORE * LOOP_PERIOD + 1e-3
@@ -321,7 +321,7 @@ def test_frames_that_do_not_come_cost_their_rows_only(
 def test_a_stall_leaves_syncs_out_or_ends_the_motion(
     tmp_path: Path, stall: float, drives_too: bool, left_out: list[int]
 ) -> None:
-    """Of dynid's process, or of the whole computer with its drives."""
+    """Only dynid's process stalls, or the whole computer with its drives."""
     with arm_on_bus() as bench:
         clock = bench.clock
         bench.at(FAULT, lambda: clock.stall(stall) if drives_too else clock.suspend(stall, but=("canopen-nodes",)))

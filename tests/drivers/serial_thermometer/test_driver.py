@@ -30,7 +30,7 @@ CONNECTION = {
     "timeout": 2.0,
 }
 BUFFER_BYTES = 1 << 16
-"""Of the port's buffer in these tests, a sixteenth of that which it has."""
+"""Size of the port's buffer in these tests, a sixteenth of the real one."""
 
 LIMIT = 60.0
 """[s] that a test in real time waits for what must come."""

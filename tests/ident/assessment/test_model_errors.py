@@ -97,7 +97,7 @@ def test_a_wrong_gain_is_named_and_estimated(arm, joint, gain):
 
 
 def test_gains_that_all_differ_are_named_together(arm):
-    """As torques in percent of each joint's rated torque."""
+    """Torques in percent of each joint's rated torque have such gains."""
     found = arm.found(1, {0: 7.0, 1: 0.5, 2: 40.0})
     (check,) = [check for check in found.checks if check.name in MODEL_ERRORS]
     assert (check.name, check.joints) == ("wrong-gain", found.model.joint_names)
@@ -129,7 +129,7 @@ def test_a_single_event_is_no_late_position(arm):
 
 @pytest.fixture(scope="module")
 def longer(arm) -> Identification:
-    """With a length of the third joint that is 0.05 m more than the arm's."""
+    """Identification with a length of the third joint that is 0.05 m more than the arm's."""
     return arm.found(1, shift=0.05)
 
 
@@ -173,7 +173,7 @@ def test_too_little_data_names_nothing(arm):
 
 @pytest.mark.parametrize(("degrees", "joint"), [(90.0, 1), (180.0, 1)])
 def test_a_zero_off_by_a_quarter_or_half_a_turn_is_named(arm, degrees, joint):
-    """As in two conventions of one arm."""
+    """Two conventions of one arm differ by such zeros."""
     found = arm.found(1)
     recorded = instants(RegressorKernel(found.model, found.base.columns), [run.prepared for run in found.runs])
     moved = replace(recorded.shifted(joint, np.deg2rad(degrees)), friction=None)

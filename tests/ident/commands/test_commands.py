@@ -139,7 +139,7 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
 
 
 MOST_LINES = 20
-"""Of what a command prints without --verbose."""
+"""Most lines that a command prints without --verbose."""
 
 
 def assert_one_verdict(model: Path, out: str) -> None:

@@ -185,7 +185,7 @@ def repeated(three_joint) -> Callable[[str], list[tuple[Recording, Identificatio
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_truth_is_within_the_error_bars(three_joint, repeated, method):
-    """With few equations a parameter the jackknife is on the safe side."""
+    """The jackknife is on the safe side where there are few equations per parameter."""
     truth = truth_of(three_joint)
     errors = [(found.solution.parameters - truth) / found.std for _, found in repeated(method)]
     assert 0.9 <= np.mean(np.abs(errors) < 1.96) <= 1.0
@@ -310,7 +310,7 @@ def test_windows_for_other_methods_are_refused():
 @pytest.mark.usefixtures("with_checks")
 @pytest.mark.parametrize("method", METHODS)
 def test_gravity_of_the_wrong_sign_is_warned_of(three_joint, method):
-    """With little noise; among much of it the few equations of the energy cannot tell a wrong sign from luck."""
+    """The noise is small: among much of it the energy's few equations cannot tell a wrong sign from chance."""
     quiet = three_joint.text.replace("{j1: 0.8, j2: 0.8, j3: 0.1}", "{j1: 0.1, j2: 0.1, j3: 0.02}")
     assert quiet != three_joint.text
     turned = quiet.replace("name: three_joint\nmodel:\n", "name: three_joint\nmodel:\n  gravity: [0, 0, 9.81]\n")

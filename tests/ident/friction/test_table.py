@@ -17,7 +17,7 @@ from ident.friction.table import OPTIONS, TERM, TERMS, Operands, Term
 from ident.friction.terms import friction_terms, no_terms
 
 WIDTH = 0.1
-"""Of the smoothed sign [rad/s]."""
+"""Width of the smoothed sign [rad/s]."""
 
 
 def operands(term: Term, speed: np.ndarray, shape: float | None = None) -> Operands:

@@ -38,7 +38,7 @@ def rows(recording: Recording, kept: slice) -> Recording:
 
 
 def rounded(recording: Recording) -> Recording:
-    """As a copy in single precision has it."""
+    """Return the recording in single precision."""
 
     def change(stream: Stream) -> Stream:
         channels = {

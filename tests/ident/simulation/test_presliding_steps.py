@@ -84,7 +84,7 @@ def test_a_short_travel_is_coulombs_friction() -> None:
 
 
 def test_the_torque_that_moves_an_arm_is_the_one_predicted() -> None:
-    """With what presliding adds, prediction along the simulated motion gives back the torque that drove it."""
+    """Prediction along the simulated motion, presliding included, gives back the torque that drove it."""
     result = true_result(load_robot("ur5e"))
     names = [entry.name for entry in result.base_parameters if entry.kind == "coulomb"]
     travels = [PreslidingTravel(parameter=name, travel=4e-3, std=1e-4) for name in names]

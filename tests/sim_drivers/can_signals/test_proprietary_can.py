@@ -253,7 +253,7 @@ def server(clock: SimulatedClock) -> Iterator[ProprietaryCanServer]:
 
 @pytest.fixture
 def driver(server: ProprietaryCanServer, clock: SimulatedClock) -> Iterator[CanFramesDriver]:
-    """Of the server's arm; open."""
+    """Yield the open driver of the server's arm."""
     with opened(connection_of(server), clock) as made:
         yield made
 

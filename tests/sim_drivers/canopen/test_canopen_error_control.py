@@ -13,7 +13,7 @@ from sim_drivers.canopen.object_dictionary import Abort
 RAD = COUNTS / (2 * np.pi)
 MASTER = 127
 LIMIT = 0.3
-"""Of the heartbeat and of guarding, in these tests [s]."""
+"""Time limit of the heartbeat and of guarding, in these tests [s]."""
 PERIOD = 0.0025
 NO_ACTION, FAULT, DISABLE_VOLTAGE, QUICK_STOP = 0, 1, 2, 3
 

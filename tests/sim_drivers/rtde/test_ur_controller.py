@@ -245,7 +245,7 @@ RECORD_CONFIGURATION = listed(
     "actual_robot_voltage actual_robot_current actual_joint_voltage actual_digital_output_bits runtime_state "
     "payload payload_cog script_control_line output_bit_registers0_to_31 output_bit_registers32_to_63 "
 ) + [f"output_{kind}_register_{number}" for kind in ("int", "double") for number in range(24)]
-"""Of the example of Universal Robots' RTDE client in Python, with what stands in a comment there."""
+"""Fields of the example of Universal Robots' RTDE client in Python, with those in a comment there."""
 GUIDE = listed(
     "actual_current_window tcp_offset actual_TCP_acceleration target_TCP_acceleration safety_status "
     "actual_configurable_digital_input_bits actual_configurable_digital_output_bits target_execution_time "

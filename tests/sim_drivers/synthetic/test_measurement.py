@@ -112,7 +112,7 @@ def test_every_arm_with_a_truth_can_be_recorded(name, tmp_path):
 
 
 def test_a_coupled_arm_s_torque_is_recorded_at_its_joints():
-    """As voltage with gains, as torque without: both are read back as the same motor torques."""
+    """Voltage with gains and torque without are both read back as the same motor torques."""
     robot_file = without_noise(load_robot("sr400"))
     text = robot_file.text
     start, end = text.index("\ndrives:\n"), text.index("\nfriction:")

@@ -327,7 +327,7 @@ def test_neither_the_length_of_the_data_nor_what_one_part_shows_alone_matters() 
 
 
 def test_the_test_of_consistency_keeps_its_level_and_finds_what_cannot_exist() -> None:
-    """Of true bodies it rejects about as many as its level says; links of negative inertia it rejects always."""
+    """It rejects about as many true bodies as its level says, and always links of negative inertia."""
     robot_file = load_robot("ur5e")
     model = build_model(robot_file)
     truth = truth_vector(robot_file)

@@ -74,7 +74,7 @@ def test_a_wrong_load_is_rejected(wrong):
 
 
 def test_the_table_predicts_the_loaded_parameters(found):
-    """As SR400 Table 4: free plus load against identified loaded."""
+    """Free plus load equals identified loaded, the comparison of SR400 Table 4."""
     changes = found[0].base_parameters
     spread = np.array([np.hypot(row.free_std, row.loaded_std) for row in changes])
     assert np.max(np.abs([row.predicted - row.loaded for row in changes]) / spread) < 4.5

@@ -51,7 +51,7 @@ def with_weights(reduction, weights):
 
 
 def test_two_halves_merge_to_the_least_squares_of_all_data(dense_reduction):
-    """With the same weights, to 1e-8 of a standard deviation; columns differ by six orders of magnitude."""
+    """They agree to 1e-8 of a standard deviation with the same weights; columns differ by six orders of magnitude."""
     halves = [dense_reduction(joint_rows(seed)) for seed in (1, 2)]
     weights = np.array([1 / 0.5, 1 / 0.02])
     together, whole = with_weights(stack_reductions(halves), weights)

@@ -27,7 +27,7 @@ from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_re
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 
 TRAVELS = {"Fs1": 1e-3, "Fs2": 4e-3}
-"""Of the true arm; the third joint has none."""
+"""Presliding travels of the true arm [rad]; the third joint has none."""
 
 
 @pytest.fixture(scope="module")
