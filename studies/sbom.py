@@ -28,7 +28,7 @@ def required(name: str, found: dict[str, Distribution]) -> None:
 
 def licence(of: Distribution) -> str:
     """The licence as the package states it, in one line; empty where it states none."""
-    stated = of.metadata.get("License-Expression") or of.metadata.get("License") or ""
+    stated = next((of.metadata[key] for key in ("License-Expression", "License") if key in of.metadata), "")
     classified = [
         line.rpartition("::")[2].strip() for line in of.metadata.get_all("Classifier", []) if "License ::" in line
     ]

@@ -8,8 +8,9 @@ from __future__ import annotations
 from itertools import groupby
 from pathlib import Path
 
-from ident.verdict.catalogue import ALL, CATALOGUE
+from ident.verdict.catalogue import CATALOGUE
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES
+from ident.verdict.check_kind import ALL
 
 PAGE = Path(__file__).parents[2] / "docs" / "checks.md"
 BEFORE, AFTER = "## The catalogue\n\n", "\n\n## "

@@ -86,8 +86,8 @@ def figures(run: Recording, options: dict[str, object]) -> str:
     """Held-out error and the checks on data and model."""
     try:
         result = dynid.identify(run, friction="coulomb-viscous", **options)  # type: ignore[arg-type]
-    except DynidError as error:
-        return f"refused: {error}"
+    except DynidError as refusal:
+        return f"refused: {refusal}"
     raised = [check.name for check in result.verdict.checks]
     named = [f"`{name}`" for name in dict.fromkeys(raised) if name in DATA_CHECKS]
     blamed = [f"**{name}**" for name in dict.fromkeys(raised) if name in MODEL_CHECKS]
@@ -97,7 +97,7 @@ def figures(run: Recording, options: dict[str, object]) -> str:
 
 def table(folder: Path) -> None:
     """Mistake by arm."""
-    runs = [
+    runs: list[tuple[str, Recording, dict[str, object]]] = [
         (f"{name}, simulated", dynid.simulate(name, duration=20.0, seed=1, rate=250.0), {}) for name in SIMULATED[:2]
     ]
     runs += list(public_recordings(folder))

@@ -101,7 +101,8 @@ def arm(name: str) -> RobotFile:
     antecedents = [
         "base" if not n else names[int(row[4])] if len(row) > 4 else names[n - 1] for n, row in enumerate(kind.rows)
     ]
-    rows, joints, links, turning = [], [], {}, {}
+    rows, links, turning = [], {}, {}
+    joints: list[dict[str, Any]] = []
     size = sum(float(np.hypot(row[1], row[2])) for row in kind.rows)
     for n, (alpha, d, r, slides, *_) in enumerate(kind.rows):
         rows.append({"joint": names[n], "antecedent": antecedents[n], "alpha": alpha, "d": d, "r": 0.0 if slides else r,
@@ -121,7 +122,7 @@ def arm(name: str) -> RobotFile:
         speed = float(generator.uniform(0.8, 1.2)) * (0.4 * size if slides else 3.0)
         joints.append({"name": names[n], "position": [-travel, travel], "velocity": speed,
                        "acceleration": 5.0 * speed})  # fmt: skip
-    content = {
+    content: dict[str, Any] = {
         "name": name,
         "model": {"mdh": rows, "gravity": list(kind.gravity), "mounting": "free"},
         "joints": joints,
@@ -142,7 +143,7 @@ def arm(name: str) -> RobotFile:
     return _parsed(content)
 
 
-def _parsed(content: dict[str, object]) -> RobotFile:
+def _parsed(content: dict[str, Any]) -> RobotFile:
     return parse_robot(json.dumps(content), where=str(content["name"]), folder=None)
 
 
@@ -187,12 +188,12 @@ class Spoiling:
     @property
     def is_one(self) -> BoolArray:
         """(n,) the first motor."""
-        return np.arange(len(self.robot_file.robot.joints)) == self.one
+        return np.equal(np.arange(len(self.robot_file.robot.joints)), self.one)
 
     @property
     def is_other(self) -> BoolArray:
         """(n,) the second one."""
-        return np.arange(len(self.robot_file.robot.joints)) == self.other
+        return np.equal(np.arange(len(self.robot_file.robot.joints)), self.other)
 
     def with_values(self, **values: FloatArray) -> tuple[Recording, RobotFile]:
         """The recording with other values, and the arm's file."""
@@ -375,8 +376,8 @@ def said(case: Callable[[], tuple[Recording, RobotFile]]) -> str:
     try:
         run, believed = case()
         result = dynid.identify(replace(run, robot_text=believed.text), friction="coulomb-viscous")
-    except DynidError as error:
-        return f"refused: {error}"
+    except DynidError as refusal:
+        return f"refused: {refusal}"
     named = [
         f"`{one.name}`" + (f" {', '.join(one.joints)}" if one.joints else "")
         for one in result.verdict.checks

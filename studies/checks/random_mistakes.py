@@ -48,6 +48,7 @@ from ident.verdict.catalogue import MISTAKES
 from ident.verdict.check import SEVERITIES, Check
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import less_known, turned
+from studies.signals.delay import milliseconds
 from studies.synthetic import data_mistakes as mistakes
 
 PERIOD, DURATION, RATE = 10.0, 15.0, 100.0
@@ -463,8 +464,7 @@ def delays(count: int) -> None:
                 moved = mistakes.jittering_position(mistakes.sampled(moved, fine), jitter, seed)
                 found = identify([moved], [], replace(CHOICES, search_delay=True))
                 search = found.delay
-                measured = search is not None and search.best is not None
-                said = f"{1e3 * search.best:.2f} ± {1e3 * search.interval:.2f}" if measured else "–"
+                said = "–" if search is None else milliseconds(search)
                 used = "–" if search is None else f"{1e3 * search.used:.2f}"
                 raised = ", ".join(c.name for c in found.checks if c.name in MISTAKES) or "none"
                 error = 100 * found.validation.relative_error

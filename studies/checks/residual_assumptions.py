@@ -55,7 +55,7 @@ def _uneven(torque: FloatArray, std: FloatArray, velocity: FloatArray, generator
 def _bursts(torque: FloatArray, std: FloatArray, velocity: FloatArray, generator: np.random.Generator) -> FloatArray:
     starts = generator.random((len(torque) // 25 + 1, torque.shape[1])) < 0.01
     size = np.where(starts, 5.0 * generator.standard_normal(starts.shape), 0.0)
-    return torque + std * np.repeat(size, 25, axis=0)[: len(torque)]
+    return np.asarray(torque + std * np.repeat(size, 25, axis=0)[: len(torque)])
 
 
 CHANGES: dict[str, Change | None] = {
@@ -117,7 +117,7 @@ def simulated(count: int) -> None:
             print(f"| {robot} | {deviation} | {seed} | {figures} | {tested} | {of_joints} |", flush=True)
 
 
-def shown(arm: str, tests: list[ResidualTests], names: tuple[str, ...]) -> None:
+def shown(arm: str, tests: list[ResidualTests]) -> None:
     """A row per joint."""
     for test in tests:
         cells = []
@@ -127,7 +127,7 @@ def shown(arm: str, tests: list[ResidualTests], names: tuple[str, ...]) -> None:
                 cells.append("–")
                 continue
             cells.append(f"{one.effect:.2f} (p {one.p_value:.1g}){' ×' if one.violated else ''}")
-        print(f"| {arm} | {names[test.joint]} | {test.residuals} | {test.independent} | {' | '.join(cells)} |")
+        print(f"| {arm} | {test.joint} | {test.residuals} | {test.independent} | {' | '.join(cells)} |")
 
 
 def public_recordings(folder: Path) -> None:
@@ -138,7 +138,7 @@ def public_recordings(folder: Path) -> None:
         robot_file = parse_robot(text, where=name, folder=folder)
         recording = import_file(path, robot_file, ImportChoices())
         identification = identify([recording], [], choices)
-        shown(name, identification.residual_tests, identification.model.joint_names)
+        shown(name, identification.residual_tests)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def deviations(robot: str, method: str, play: Play, seed: int) -> tuple[list[Flo
     inflation = found.std[kept] / found.solution.std[kept]
     motion = random_points_motion(arm.robot, 1000 + seed, 8)
     samples = [signal.T for signal in motion.evaluate(np.linspace(0.0, motion.duration, INSTANTS + 2)[1:-1])]
-    torque = model_torque(found.model, None, truth_vector(arm), *(signal.T for signal in samples)).T
+    torque = model_torque(found.model, None, truth_vector(arm), samples[0].T, samples[1].T, samples[2].T).T
     models = [Model(result, kind) for kind in ("full", "essential")]
     figures = [
         (value - true) / std,
@@ -158,6 +158,6 @@ def main(
 if __name__ == "__main__":
     main(
         seeds=int(sys.argv[1]) if len(sys.argv) > 1 else 10,
-        methods=sys.argv[2].split(",") if len(sys.argv) > 2 else METHODS,  # type: ignore[arg-type]
+        methods=sys.argv[2].split(",") if len(sys.argv) > 2 else METHODS,
         plays=sys.argv[3].split(",") if len(sys.argv) > 3 else ("periodic", "points"),  # type: ignore[arg-type]
     )

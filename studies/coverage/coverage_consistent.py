@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.problem import build_problem
 from ident.identify.summary import summarise
@@ -63,7 +63,7 @@ def deviations(robot: str, seed: int) -> tuple[list[FloatArray], FloatArray]:
     shown = np.isfinite(consistent.std) & possible
     motion = random_points_motion(arm.robot, 1000 + seed, 8)
     samples = [signal.T for signal in motion.evaluate(np.linspace(0.0, motion.duration, INSTANTS + 2)[1:-1])]
-    torque = model_torque(found.model, None, truth, *(signal.T for signal in samples)).T
+    torque = model_torque(found.model, None, truth, samples[0].T, samples[1].T, samples[2].T).T
     if not found.model.transmission.direct:  # `Model.torque` is at the joints
         torque = torque @ found.model.transmission.coupling
     model = Model(summarise(found, [recording], []), "consistent")
@@ -79,7 +79,7 @@ def deviations(robot: str, seed: int) -> tuple[list[FloatArray], FloatArray]:
 
 def line(robot: str, seeds: int) -> str:
     """The figures of one arm."""
-    columns: list[list[FloatArray]] = [[] for _ in COLUMNS]
+    columns: list[list[BoolArray]] = [[] for _ in COLUMNS]
     of_prior = []
     for seed in range(seeds):
         figures, other = deviations(robot, seed)

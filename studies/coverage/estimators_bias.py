@@ -163,8 +163,8 @@ def compare(robot_file: RobotFile, exact: JointSignals, seeds: int, methods: Seq
         for method in methods:
             try:
                 fits = [fitted(robot_file, noisy(exact, seed), choices, method) for seed in range(seeds)]
-            except DynidError as error:
-                print(f"{method:28}{error}", flush=True)
+            except DynidError as refusal:
+                print(f"{method:28}{refusal}", flush=True)
                 continue
             errors = np.array([fit.parameters - truth for fit in fits])
             spread = np.maximum(errors.std(axis=0, ddof=1), np.finfo(float).tiny)

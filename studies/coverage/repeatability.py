@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import os
 import sys
+from typing import Any
+from unittest.mock import patch
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -46,11 +48,10 @@ def line(arm: RobotFile, count: int, spread: float, seeds: int) -> str:
     """A row of the table."""
     model, before = build_model(arm), list[CorrectedCovariance]()
 
-    def kept(corrected: CorrectedCovariance, *given: object) -> CorrectedCovariance:
+    def kept(corrected: CorrectedCovariance, *given: Any) -> CorrectedCovariance:
         before.append(corrected)
-        return with_repeatability(corrected, *given)  # type: ignore[arg-type]
+        return with_repeatability(corrected, *given)
 
-    identification.with_repeatability = kept  # type: ignore[assignment]
     choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False, search_delay=False)
     held_out = simulate_recording(arm, random_fourier_motion(model, PERIOD, 999, 2), 6.0, 999)
     errors, bodies, without, tau = [], [], [], []
@@ -65,7 +66,8 @@ def line(arm: RobotFile, count: int, spread: float, seeds: int) -> str:
             )
             for run in range(count)
         ]
-        found = identification.identify(runs, [held_out], choices)
+        with patch.object(identification, "with_repeatability", kept):
+            found = identification.identify(runs, [held_out], choices)
         active = list(found.solution.active)
         friction = np.array([found.base.kinds[column] in ("viscous", "coulomb") for column in active])
         truth = (found.base.projection @ truth_vector(arm))[active]

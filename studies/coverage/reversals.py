@@ -105,7 +105,8 @@ def held_out_errors(identification: Identification) -> tuple[float, float]:
     residual = np.concatenate([segment.residual for segment in series], axis=1)
     counted = np.concatenate([segment.counted for segment in series], axis=1)
     fast = counted & (np.abs(np.concatenate([segment.velocity for segment in series], axis=1)) >= LOW_SPEED)
-    return tuple(float(np.linalg.norm(residual[mask]) / np.linalg.norm(measured[mask])) for mask in (counted, fast))
+    every, of_fast = (float(np.linalg.norm(residual[m]) / np.linalg.norm(measured[m])) for m in (counted, fast))
+    return every, of_fast
 
 
 def public_recordings(folder: Path) -> dict[str, tuple[Recording, PreprocessChoices]]:

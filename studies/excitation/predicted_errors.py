@@ -74,9 +74,8 @@ def compare(label: str, robot_file: RobotFile, count: int) -> None:
         # Validated on the other recording, so that all of this one identifies.
         result = identify([recording], [earlier], CHOICES, robot_file=robot_file)
         errors.append(result.solution.parameters - truth)
-        if seed < ASKED:
-            forecast = motion_sufficiency(recorded_motion(recording, robot_file)).forecast
-            forecasts.append([parameter.std for parameter in forecast.parameters])
+        if seed < ASKED and (shown := motion_sufficiency(recorded_motion(recording, robot_file))) is not None:
+            forecasts.append([parameter.std for parameter in shown.forecast.parameters])
     true = np.sqrt(np.mean(np.square(errors), axis=0))
     for source, deviations in {**predicted, "dynid info": np.median(forecasts, axis=0)}.items():
         low, middle, high = np.quantile(true / deviations, [0.1, 0.5, 0.9])

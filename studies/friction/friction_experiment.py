@@ -24,8 +24,9 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
+from ident.excite.choices import SweepChoices
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
+from ident.excite.velocity_sweep import velocity_sweep
 from ident.experiments.friction.joint_data import friction_torque
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.friction_experiment import JointFrictionExperiment

@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, Recording
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, IntArray
 from dynid import simulate
 from ident.identify.friction.candidates import FOLDS
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices, PreparedRun
@@ -35,7 +35,7 @@ from studies.models.consistency import public
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 30, 40, 50, 60, 80, 100, 101, 120, 121, 160, 200, 202, 240, 242)
 
 
-Systems = tuple[FloatArray, FloatArray, FloatArray]
+Systems = tuple[FloatArray, FloatArray, IntArray]
 """Columns (4, M) of a harmonic, residuals (M,) of a joint, and the block (M,) that each belongs to."""
 
 
@@ -61,7 +61,7 @@ def systems(runs: Sequence[PreparedRun], parts: Sequence[TorqueSeries], joint: i
     return np.hstack([columns for columns, _ in found]), np.concatenate([one for _, one in found]), block
 
 
-def block_error(columns: FloatArray, residual: FloatArray, block: FloatArray) -> float:
+def block_error(columns: FloatArray, residual: FloatArray, block: IntArray) -> float:
     """Squared error on each block of what fits the others."""
     error = 0.0
     for number in np.unique(block):

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-from dataclasses import replace
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 
 import numpy as np
+from random_arms import random_arm
 
 import dynid
 from daq.recording.recording import JOINTS_STREAM, Recording
@@ -25,7 +27,6 @@ from ident.model.base_parameters import gravity_base, gravity_rows, random_state
 from ident.model.parameters import INERTIAL
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import simulate_recording
-from tests.support.random_arms import random_arm
 
 RATE = 25.0
 POSES = 200

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -50,7 +51,7 @@ def main(names: list[str]) -> None:
                 found.solution,
                 _inflation(found),
                 found.corrected.effective_rows,
-                lambda columns, reduction=found.estimation.reduction: weighted_least_squares(reduction, columns),
+                partial(weighted_least_squares, found.estimation.reduction),
                 rule,
                 threshold,
             )

@@ -120,7 +120,8 @@ def simulated_calls(robot: str) -> None:
 
     def drive(time: float, position: FloatArray, velocity: FloatArray) -> FloatArray:
         wanted = 0.5 * np.sin(time * np.arange(1, model.dof + 1))
-        return arm.links(position[:, None], still, still)[:, 0] + gains * (wanted - position) - 0.2 * gains * velocity
+        gravity = arm.links(position[:, None], still, still)[:, 0]
+        return np.asarray(gravity + gains * (wanted - position) - 0.2 * gains * velocity)
 
     # In Python, since the compiled steps make their calls themselves.
     slow = patch.object(time_stepping, "compiled_stepping", lambda *given: None)

@@ -77,6 +77,7 @@ def main() -> None:
             run = recorded(file, wire, motion, Path(folder))
             result = dynid.identify(run)
         grades = {name: judged.grade for name, judged in result.verdict.purposes.items()}
+        assert result.validation is not None
         rows, error = len(run.streams["joints"].time), 100.0 * result.validation.relative_error
         graded = f"{grades['torque_prediction']} | {error:.2g} | {grades['simulation']}"
         print(f"| {arm} | {rows} | {lag(run):.3f} | {graded} |", flush=True)

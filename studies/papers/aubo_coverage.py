@@ -110,13 +110,13 @@ def coverage(errors: list[Errors], kind: str) -> tuple[float, float, float]:
     return inside, float(np.median(sigma)), float(np.sqrt(np.mean((deviation / sigma) ** 2)))
 
 
-def main(seeds: str = "20", methods: str = "wls,iirls", stribeck: float = 0.0) -> None:
+def main(seeds: str = "20", methods: str = "wls,iirls", stribeck: str = "0") -> None:
     """Print the table, then a line for each method and kind, and the correlations."""
     names = methods.split(",")
     found: dict[str, list[Errors]] = {name: [] for name in names}
     for seed in range(*map(int, seeds.split(":"))):
         for name in names:
-            found[name].append(identified(seed, stribeck, name))
+            found[name].append(identified(seed, float(stribeck), name))
         print(f"# seed {seed}", file=sys.stderr, flush=True)
     headings = [cell for name in names for cell in (f"`{name}`: inside", "median σ")]
     print(f"| parameter | {' | '.join(headings)} |\n|---|{'---|' * len(headings)}")
@@ -131,4 +131,4 @@ def main(seeds: str = "20", methods: str = "wls,iirls", stribeck: float = 0.0) -
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3], *map(float, sys.argv[3:4]))
+    main(*sys.argv[1:4])

@@ -16,8 +16,9 @@ from daq.motion.trajectories import Motion, PointToPoint, RestToRest
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
+from ident.excite.choices import SweepChoices
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
+from ident.excite.velocity_sweep import velocity_sweep
 from ident.friction.table import temperature_coefficients
 from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant

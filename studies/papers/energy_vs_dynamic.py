@@ -56,7 +56,7 @@ def with_encoder_noise(recording: Recording, std: float, seed: int) -> Recording
     stream = recording.streams[JOINTS_STREAM]
     channel = stream.channels["position"]
     noise = std * np.random.default_rng(seed).standard_normal(channel.values.shape)
-    channels = stream.channels | {"position": replace(channel, values=channel.values + noise)}
+    channels = {**stream.channels, "position": replace(channel, values=channel.values + noise)}
     return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
 
 

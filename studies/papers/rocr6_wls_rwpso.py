@@ -23,11 +23,11 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 import dynid
-from daq.motion.trajectories import FourierSeries
+from daq.motion.trajectories import Motion, RestToRest
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.minimisation import Optimiser, SearchBox, SearchBudget, minimise
+from ident.estimators.swarm.minimisation import SearchBox, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight
 from ident.estimators.swarm.physical import QuadraticCost
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
@@ -95,7 +95,7 @@ def indefinite(values: FloatArray) -> tuple[float, float]:
 class Data:
     """20 s of a motion at full speed: what is recorded, and what was true."""
 
-    def __init__(self, motion: FourierSeries, truth: FloatArray, seed: int) -> None:
+    def __init__(self, motion: Motion, truth: FloatArray, seed: int) -> None:
         self.time = np.arange(round(PERIOD * RATE)) / RATE
         self.states = motion.evaluate(self.time)
         self.clean = model_torque(MODEL, BASE.columns, truth, *self.states)
@@ -112,7 +112,8 @@ class Data:
     def rms(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """RMS (n,) of the torque error against the recorded and against the true torque [N·m]."""
         predicted = model_torque(MODEL, BASE.columns, values, *self.states)
-        return tuple(np.sqrt(np.mean((torque - predicted) ** 2, axis=1)) for torque in (self.torque, self.clean))
+        recorded, true = (np.sqrt(np.mean((torque - predicted) ** 2, axis=1)) for torque in (self.torque, self.clean))
+        return recorded, true
 
 
 def identified(
@@ -174,7 +175,7 @@ def convergence(data: Identification) -> None:
     least = cost.cost(exact)
     inside = cost.cost(least_within(cost, box))
     print(f"\nWLS: cost {least:.4f}; least within the box {inside:.4f}; {len(active)} parameters")
-    cases: dict[str, Optimiser] = {
+    cases = {
         "PSO, paper: W 1.3, c1 1.5, c2 3": ParticleSwarm(200, ConstantWeight(1.3), 1.5, 3.0),
         "RWPSO, paper: c1 1.5, c2 3": ParticleSwarm(200, RandomWeight(), 1.5, 3.0),
         "… velocity clamp 0.1": ParticleSwarm(200, RandomWeight(), 1.5, 3.0, 0.1),
@@ -214,8 +215,8 @@ def table_3(data: Data, held_out: Data, truth: FloatArray, folder: Path | None) 
     for column, against in enumerate(("recorded", "true")):
         if column:
             print("RMS against the true torque [N·m]")
-        for name, values in rows.items():
-            error = held_out.rms(values)[column]
+        for name, parameters in rows.items():
+            error = held_out.rms(parameters)[column]
             print(f"{name:34} " + " ".join(f"{value:8.4f}" for value in error), f"  ({against})", flush=True)
 
 
@@ -232,6 +233,7 @@ def main() -> None:
         "rocr6", criterion="plain-condition", harmonics=5, period=PERIOD, time=seconds, self_collision=False
     )
     assert designed.design is not None
+    assert isinstance(designed.motion, RestToRest)
     motion = designed.motion.motion  # without its ramps
     print(f"excitation: condition number of W {designed.design.cost:.1f} after {seconds:g} s")
     data = Data(motion, truth, 1)

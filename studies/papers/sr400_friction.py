@@ -19,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from daq.motion.trajectories import Pieces
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from ident.model.regressor import model_torque
@@ -39,11 +40,18 @@ class Steady:
 
     pose: FloatArray
     speed: FloatArray
+    duration = STEP
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity and acceleration (n, N)."""
         position = self.pose[:, None] + self.speed[:, None] * (time - 0.5 * STEP)
         return position, np.repeat(self.speed[:, None], len(time), axis=1), np.zeros_like(position)
+
+    def pieces(self) -> Pieces:
+        """The whole step."""
+        largest = np.zeros((4, len(self.speed), 1))
+        largest[0, :, 0] = np.abs(self.speed)
+        return Pieces(np.zeros(1), np.array([STEP]), largest)
 
 
 def rows(joint_5: float, motor_6: float) -> FloatArray:
@@ -71,7 +79,7 @@ def quiet_pose(robot_file: RobotFile) -> FloatArray:
     starts = [(roll, lift) for roll in (-1.5, 0.0, 1.5) for lift in (2.8, 3.14, 3.5)]
     found = [minimize(gravity, start, bounds=(limits[2], limits[5])) for start in starts]
     best = min(found, key=lambda one: one.fun)
-    pose = middle.copy()
+    pose: FloatArray = middle.copy()
     pose[2], pose[5], pose[MOTOR_5], pose[MOTOR_6] = *best.x, 0.0, 0.0
     print(f"pose [rad]: {np.round(pose, 3).tolist()}, gravity at most {np.sqrt(best.fun):.2g} N·m on motors 5 and 6\n")
     return pose
@@ -116,9 +124,10 @@ def main(seeds: int = 1) -> None:
             f"\n| friction of motor {name} [rad/s] | measured [N·m] | predicted | without the pair |\n|---|---|---|---|"
         )
         for speed in speeds:
-            pair = point(speed)
-            torque = step(robot_file, pose, *pair, seed=7)[motor]
-            one, other = rows(*pair)[motor] @ found[0], rows(*pair)[motor] @ alone
+            joint_5, motor_6 = point(speed)
+            torque = step(robot_file, pose, joint_5, motor_6, seed=7)[motor]
+            row = rows(joint_5, motor_6)[motor]
+            one, other = row @ found[0], row @ alone
             print(f"| {speed:.2f} | {torque:.2f} | {one:.2f} | {other:.2f} |")
 
 

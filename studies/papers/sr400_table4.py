@@ -103,7 +103,7 @@ def drawn_gains(robot_file: RobotFile, seed: int) -> dict[str, float]:
 def with_paper_load(arm: RobotFile) -> RobotFile:
     """The arm with Table 3's load."""
     mass, com = LOAD[9], LOAD[6:9] / LOAD[9]
-    return with_load(arm, mass, com, LOAD[:6] - link_parameters(mass, com, [0.0] * 6)[:6])
+    return with_load(arm, mass, com, (LOAD[:6] - link_parameters(mass, com, [0.0] * 6)[:6]).tolist())
 
 
 def experiment(seed: int, moves: int, gains: dict[str, float]) -> Table:

@@ -132,7 +132,7 @@ class Problem:
 
     def rms(self, cost: float) -> float:
         """Root mean square torque error [N·m] over all joints."""
-        return cost / np.sqrt(3 * self.samples)
+        return float(cost / np.sqrt(3 * self.samples))
 
 
 def joint_rms(first: SteppedMotion, second: SteppedMotion) -> tuple[FloatArray, FloatArray]:
@@ -171,7 +171,7 @@ def compare(problem: Problem, cases: dict[str, tuple[Optimiser, SearchBox, int]]
     return found
 
 
-def tables(problem: Problem, true: SteppedMotion) -> dict[str, SteppedMotion]:
+def tables(problem: Problem, true: SteppedMotion) -> tuple[dict[str, SteppedMotion], FloatArray]:
     """Print everything; the closed loops for the figures."""
     print(f"{problem.samples} samples of {DURATION:g} s; parameters: {', '.join(TABLE_3)}")
     wide, narrow = SearchBox(np.zeros(12), 2.0 * VALUES), SearchBox.around(VALUES, 0.1)
@@ -243,8 +243,7 @@ def tables(problem: Problem, true: SteppedMotion) -> dict[str, SteppedMotion]:
     for box, several in boxes.items():
         errors = [np.concatenate(joint_rms(true, closed_loop(problem.cost.base(r.point[None])[0]))) for r in several]
         row(f"SFLA {box}, median of 20 seeds", np.median(errors, axis=0), "10.3g")
-    loops["history"] = middle  # type: ignore[assignment]
-    return loops
+    return loops, middle.history
 
 
 def excitation_history() -> tuple[list[float], list[float]]:
@@ -260,13 +259,12 @@ def excitation_history() -> tuple[list[float], list[float]]:
     return [seconds for seconds, _ in told], [size for _, size in told]
 
 
-def page(folder: Path, true: SteppedMotion, loops: dict[str, SteppedMotion]) -> None:
+def page(folder: Path, true: SteppedMotion, loops: dict[str, SteppedMotion], history: FloatArray) -> None:
     """Figures 5 and 9 to 16, and two reports."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     folder.mkdir(parents=True, exist_ok=True)
-    history = loops.pop("history").history
     every = slice(None, None, 20)
     time, wanted = true.time[every], PAPER.evaluate(true.time[every])[0]
     titles = [
@@ -313,9 +311,9 @@ def main() -> None:
     true = closed_loop(BASE.projection @ TRUTH)
     error = true.position - PAPER.evaluate(true.time)[0].T
     print(f"closed loop: RMS position error {np.sqrt(np.mean(error**2, axis=0))} rad")
-    loops = tables(Problem.of(true), true)
+    loops, history = tables(Problem.of(true), true)
     if len(sys.argv) == 3 and sys.argv[1] == "--page":
-        page(Path(sys.argv[2]), true, loops)
+        page(Path(sys.argv[2]), true, loops, history)
 
 
 if __name__ == "__main__":

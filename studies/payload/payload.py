@@ -24,10 +24,12 @@ from ident.experiments.load.payload import Payload, identify_payload
 from ident.experiments.run_pair import RunPair, prepare_pair
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_effect, moved_origin
-from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
+from ident.regression.systematic_errors import relative_gain_std
 from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.altered_arms import with_gains
 
 FIGURES = {
     "mass [kg]": [0],
@@ -113,7 +115,8 @@ def bodies(seeds: int) -> list[str]:
 def gain_errors(seeds: int) -> list[str]:
     """The mass by robot files whose gains are wrong as their `gain_std` says, one draw a seed."""
     file, generator = load_robot("ur10e"), np.random.default_rng(0)
-    relative = np.array([drive.gain_std / abs(drive.gain) for drive in file.robot.drives])
+    names = file.robot.joint_names
+    relative = relative_gain_std(file.robot, names)
     lines = [
         "\n| errors of the gains | load | mass off by, RMS [kg] | its σ, median [kg] | 95 % intervals that hold it |"
     ]
@@ -121,12 +124,8 @@ def gain_errors(seeds: int) -> list[str]:
     for kind, count in (("of each joint by itself", len(relative)), ("common to all joints", 1)):
         found: dict[str, list[tuple[float, float]]] = {"unconstrained": [], "consistent": []}
         for seed in range(seeds):
-            shares = relative * generator.standard_normal(count)
-            drives = tuple(
-                drive.model_copy(update={"gain": drive.gain * (1 + share)})
-                for drive, share in zip(file.robot.drives, shares, strict=True)
-            )
-            wrong = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
+            factors = 1.0 + relative * generator.standard_normal(count)
+            wrong = with_gains(file, dict(zip(names, factors.tolist(), strict=True)))
             payload = identify_payload(*recordings(seed), None, wrong)
             body = payload.consistent_load
             if body is None or payload.mass is None:
@@ -157,7 +156,7 @@ def main(seeds: int = 40) -> None:
     print(f"all    {held.mean():36.1%}")
     print("\n".join(bodies(seeds)))
     print("\n".join(gain_errors(seeds)))
-    tests = {
+    tests: dict[str, list[SignificanceTest | None]] = {
         "mass": [each.tests.mass for each in results],
         "known values": [each.tests.values for each in results],
         "some load": [each.tests.load for each in results],
@@ -173,9 +172,9 @@ def main(seeds: int = 40) -> None:
             ("known values", [each.tests.values for each in refused]),
             ("the known load", [each.tests.known_load for each in refused]),
         ):
-            tests = [test for test in of_seeds if test is not None]
-            rejected = sum(not test.passed for test in tests)
-            print(f"wrong load, {name}, test of {test_name}: rejected in {rejected} of {len(tests)}")
+            made = [test for test in of_seeds if test is not None]
+            rejected = sum(not test.passed for test in made)
+            print(f"wrong load, {name}, test of {test_name}: rejected in {rejected} of {len(made)}")
 
 
 if __name__ == "__main__":

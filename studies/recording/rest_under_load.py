@@ -45,7 +45,8 @@ def measure(wire: str, seconds: float, folder: Path) -> dict[str, Any]:
         arguments = ["--wire", wire, *address, "--duration", str(seconds), "-o", str(out), "--force", "--json"]
         done = subprocess.run([DYNID, "record", str(robot), *arguments], capture_output=True, text=True, check=False)
     finally:
-        for process in (*busy, simulator):
+        processes: list[subprocess.Popen[Any]] = [*busy, simulator]
+        for process in processes:
             process.terminate()
             process.wait(20.0)
     report = json.loads(done.stdout)

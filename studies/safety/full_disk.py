@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -161,7 +162,7 @@ def sweep(name: str, disk: Disk, job: Callable[[Disk, int], None], rooms: range)
         disk.clear()
         path = disk.work / "run.h5"
         path.write_bytes(OLD)
-        end = outcome(lambda room=room: job(disk, room))
+        end = outcome(partial(job, disk, room))
         old_stands = path.exists() and path.read_bytes() == OLD
         kept = [found(file) for file in unfinished_files(path)] or ["nothing"]
         if not old_stands:

@@ -44,8 +44,11 @@ class Arm(Protocol):
     def advance(self, now: float) -> None:
         """Go on to `now` [s]."""
 
-    reference: FloatArray
-    log: list[tuple[float, FloatArray]]
+    @property
+    def reference(self) -> FloatArray: ...
+
+    @property
+    def log(self) -> list[tuple[float, FloatArray]]: ...
 
 
 class RtdeArm:
@@ -136,7 +139,8 @@ class TablePlant:
 
     def measure(self) -> Measurement:
         zero = np.zeros(len(self.position))
-        return Measurement(self.time, self.position, *[zero] * 4, self.position, *[zero] * 3, lambda: zero)
+        now, still = self.position, (zero, zero, zero)
+        return Measurement(self.time, now, zero, *still, now, *still, lambda: zero)
 
 
 class SignalTableArm:

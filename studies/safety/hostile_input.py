@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "tests" / "daq" / "importers")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import h5py  # noqa: E402  # after the paths
@@ -31,7 +31,7 @@ import scipy.io  # noqa: E402
 from backports import zstd  # noqa: E402
 from fuzzing.judged_run import Outcome, load_all_modules, run_command  # noqa: E402
 from fuzzing.seed_files import ROBOT, URDF, make_seeds  # noqa: E402
-from test_bounds import mcap_of_one_chunk, write_hdf5  # noqa: E402
+from huge_files import mcap_of_one_chunk, write_hdf5  # noqa: E402
 
 import dynid  # noqa: E402
 from daq.recording.writer import RecordingWriter  # noqa: E402

@@ -91,8 +91,8 @@ def killed_at(moment: float, arguments: Sequence[str], told: Path) -> int:
         try:
             command.main()
             status = 0
-        except SystemExit as ended:
-            status = int(ended.code or 0)
+        except SystemExit as left:
+            status = int(left.code or 0)
         finally:
             os._exit(status)
     end = time.monotonic() + moment

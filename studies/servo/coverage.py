@@ -58,14 +58,14 @@ def of_seed(name: str, kind: str, seed: int) -> tuple[dict[str, list[bool]], lis
     run, other = (simulate_servo(file, duration=seconds, seed=seed) for seconds in (30.0, 6.0))
     model = dynid.identify_servo(run, validation=other, robot=known)
     weighted = {names[row] for row in servo_links(file).weighted(run.position.T)}
-    for joint in model.result.servo:
-        stiffness = joint.parameters["stiffness"]
-        if joint.joint not in weighted:
+    for fit in model.result.servo:
+        stiffness = fit.parameters["stiffness"]
+        if fit.joint not in weighted:
             low, high = stiffness.interval or (0.0, np.inf)
-            right = low <= truth[joint.joint]["stiffness"] <= high
+            right = low <= truth[fit.joint]["stiffness"] <= high
             refused.append(stiffness.unidentifiable or right)
-        for term, estimate in joint.parameters.items():
-            true = truth[joint.joint].get(term, 0.0)
+        for term, estimate in fit.parameters.items():
+            true = truth[fit.joint].get(term, 0.0)
             scaled = term in TORQUES and stiffness.origin == "assumed"
             counted = term in inside and (true > 0 or term in SIGNED) and not scaled
             if counted and estimate.interval is not None and not estimate.unidentifiable:

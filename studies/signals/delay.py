@@ -26,6 +26,7 @@ from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
+from ident.assessment.delay.delay import DelaySearch, JointDelay
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
@@ -95,6 +96,13 @@ def true_error(search: Identification, seed: int) -> float:
     return float(100.0 * np.linalg.norm(predicted - true) / np.linalg.norm(true))
 
 
+def milliseconds(delay: DelaySearch | JointDelay) -> str:
+    """The best delay and half of its 95 % interval [ms]."""
+    if delay.best is None or delay.interval is None:
+        return "–"
+    return f"{1e3 * delay.best:.2f} ± {1e3 * delay.interval:.2f}"
+
+
 def simulated(seeds: int) -> None:
     """Print a line for each case, delay and seed."""
     print(f"{'simulated':20} {'true [ms]':>9} {'found [ms]':>15} {'used [ms]':>9} {'error without, with [%]':>24}")
@@ -106,7 +114,7 @@ def simulated(seeds: int) -> None:
                 search = identify([recording], [], PLAIN)
                 without = identify([recording], [], replace(PLAIN, search_delay=False))
                 assert search.delay is not None
-                best = f"{1e3 * search.delay.best:.2f} ± {1e3 * search.delay.interval:.2f}"
+                best = milliseconds(search.delay)
                 used = ", ".join(f"{1e3 * value:.2f}" for value in sorted({j.used for j in search.delay.joints}))
                 errors = f"{true_error(without, seed):.2f}, {true_error(search, seed):.2f}"
                 print(f"{name:20} {1e3 * delay:9.1f} {best:>15} {used:>9} {errors:>24}", flush=True)
@@ -128,14 +136,13 @@ def public(folder: Path) -> None:
         search = identify([recording], [], choices)
         without = identify([recording], [], replace(choices, search_delay=False))
         assert search.delay is not None
+        assert search.delay.best is not None
         always = replace(choices, search_delay=False, preprocess=replace(choices.preprocess, delay=search.delay.best))
         errors = [100.0 * one.validation.relative_error for one in (without, identify([recording], [], always), search)]
         print(
             f"{name}: {search.delay.note}\n    held-out error {errors[0]:.3f} % without, {errors[1]:.3f} % with the "
             f"best delay for all joints, {errors[2]:.3f} % as used\n    of each joint alone (used): "
-            + ", ".join(
-                f"{1e3 * j.best:.2f} ± {1e3 * j.interval:.2f} ({1e3 * j.used:.2f})" for j in search.delay.joints
-            )
+            + ", ".join(f"{milliseconds(j)} ({1e3 * j.used:.2f})" for j in search.delay.joints)
         )
 
 

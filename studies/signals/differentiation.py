@@ -200,7 +200,8 @@ def simulated_identifications() -> None:
         model = build_model(robot_file)
         for noise in (0.0, 5e-5):
             for way in WAYS:
-                held_out, inside, deviations = [], [], []
+                held_out, deviations = [], []
+                inside: list[bool] = []
                 for seed in SEEDS:
                     runs = []
                     for part in (seed, seed + 10):

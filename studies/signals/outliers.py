@@ -56,7 +56,7 @@ def spikes(share: float, size: float) -> Change:
 
     def change(values: FloatArray, generator: np.random.Generator) -> FloatArray:
         sign = generator.choice([-1.0, 1.0], values.shape) * (generator.random(values.shape) < share)
-        return values + size * np.sqrt(np.mean(values**2, axis=0)) * sign
+        return np.asarray(values + size * np.sqrt(np.mean(values**2, axis=0)) * sign)
 
     return change
 

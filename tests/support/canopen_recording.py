@@ -146,7 +146,7 @@ class Run:
     def counts(self, bench: Bench) -> dict[str, FloatArray]:
         """The rows in the drives' own numbers, by quantity (N, n)."""
         setups = [drive.axis.setup for drive in bench.server.network.drives]
-        units = {
+        units: dict[str, float | FloatArray] = {
             "position": RADIANS,
             "velocity": RADIANS,
             "torque": 1e-3 * np.array([setup.rated_torque for setup in setups]),

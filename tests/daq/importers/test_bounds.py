@@ -13,6 +13,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import scipy.io
+from huge_files import mcap_of_one_chunk, write_hdf5
 from kinematic_arm import ROBOT_FILE
 
 from daq.importers import table as table_module
@@ -94,32 +95,6 @@ def test_a_mat_file_is_judged_by_the_shapes_that_it_declares(tmp_path: Path, mon
     assert "numbers; at most" in refusal(path)
 
 
-def write_hdf5(path: Path, what: str) -> None:
-    with h5py.File(path.with_name("other.h5"), "w") as other:
-        other["t"] = np.arange(10.0)
-    with h5py.File(path, "w") as file:
-        group = file.create_group("run")
-        if what == "raw":
-            file.create_dataset("t", (4,), "f8", external=[(path.with_name("secret.txt"), 0, 32)])
-        elif what == "link":
-            group["t"] = h5py.ExternalLink("other.h5", "t")
-        elif what == "virtual":
-            layout = h5py.VirtualLayout((10,), "f8")
-            layout[:] = h5py.VirtualSource(path.with_name("other.h5"), "t", (10,))
-            file.create_virtual_dataset("t", layout)
-        elif what == "large":
-            file.create_dataset("t", (10**11,), "f8", chunks=True)
-        elif what == "sparse":
-            file.create_dataset("t", (5 * 10**7,), "f8", chunks=True)
-        elif what == "attribute":
-            file.create_dataset("t", (4,), "f8").attrs["joints"] = ["x"] * 2000
-        elif what == "texts":
-            file.create_dataset("t", (200_000,), h5py.string_dtype())
-        elif what == "objects":
-            for number in range(30):
-                group[str(number)] = 1.0
-
-
 @pytest.mark.parametrize(
     ("what", "words"),
     [
@@ -152,20 +127,6 @@ def test_a_soft_link_is_followed_within_the_file_only(tmp_path: Path) -> None:
         file["a/out"] = h5py.ExternalLink("fifo", "/")
         file["e"] = h5py.SoftLink("/a/out/t")
     assert "'out' is a link into another file" in refusal(tmp_path / "run.h5")
-
-
-def mcap_of_one_chunk(compression: str, packed: bytes, unpacked: int) -> bytes:
-    def record(kind: int, *fields: bytes) -> bytes:
-        return struct.pack("<BQ", kind, sum(map(len, fields))) + b"".join(fields)
-
-    def text(value: str) -> bytes:
-        return struct.pack("<I", len(value)) + value.encode()
-
-    magic = b"\x89MCAP0\r\n"
-    chunk = record(
-        6, struct.pack("<QQQI", 0, 1, unpacked, 0), text(compression), struct.pack("<Q", len(packed)), packed
-    )
-    return b"".join([magic, record(1, text("ros2"), text("")), chunk, record(2, bytes(20)), magic])
 
 
 @pytest.mark.reads_apart
