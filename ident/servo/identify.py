@@ -65,6 +65,9 @@ simulated arms as they are, 0.55 to 3.7 in an OpenArm with play)."""
 GOOD, USABLE = 3.0, 8.0
 """Roll-out errors in encoder steps below which a model is good and usable, where it also beats delay and lag."""
 
+FINE_STEP = 1e-3
+"""[rad or m] Encoder steps finer than this make no model worse: they count as this."""
+
 
 @dataclass(frozen=True, eq=False)
 class ServoIdentification:
@@ -276,7 +279,8 @@ def unexplained(names: Sequence[str], errors: FloatArray) -> list[str]:
         return []
     return [
         f"errors of {', '.join(lacking)} encoder steps in the fitted pieces (median; rounding alone leaves {ROUNDED}): "
-        "play, friction or flexibility that the model lacks, and intervals do not cover what these bias"
+        "the model lacks play, friction or flexibility, or the URDF's links are wrong, and intervals do not cover what "
+        "these bias"
     ]
 
 
@@ -368,8 +372,9 @@ def verdict(
     worse = [name for name, own, other in zip(names, error, lagged, strict=True) if own > other + 0.5 * steps.mean()]
     mean, step = float(error.mean()), float(steps.mean())
     gain = float(lagged.mean()) / mean if mean > 0 else np.inf
+    unit = max(step, FINE_STEP)
     grade: Literal["good", "usable", "poor"] = (
-        "good" if mean < GOOD * step else "usable" if mean < USABLE * step or gain > 3 else "poor"
+        "good" if mean < GOOD * unit else "usable" if mean < USABLE * unit or gain > 3 else "poor"
     )
     if gain < 1.2 or worse:
         grade = "poor" if gain < 1 else "usable" if grade == "good" else grade

@@ -56,7 +56,11 @@ def true_servos(robot: Robot, where: str) -> list[TruthServo]:
     servos = [robot.truth.joints.get(name, TruthJoint()).servo for name in robot.joint_names]
     without = [name for name, servo in zip(robot.joint_names, servos, strict=True) if servo is None]
     if without:
-        raise RobotFileError(f"no servo for {', '.join(without)}", where=f"{where}: truth.joints")
+        raise RobotFileError(
+            f"no servo for {', '.join(without)}",
+            where=f"{where}: truth.joints",
+            hint="give each joint one: servo: {stiffness: …, torque_limit: …}, as docs/robot-file.md has it",
+        )
     return [servo for servo in servos if servo is not None]
 
 

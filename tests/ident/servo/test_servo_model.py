@@ -16,7 +16,7 @@ from daq.robot.loader import load_robot
 from ident.compiled.library import kernels
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
-from ident.servo.identify import _doubts, unexplained
+from ident.servo.identify import _doubts, unexplained, verdict
 from ident.servo.result import ServoParameter
 from ident.servo.simulators.actuator_law import left_out, shaped_commands
 from ident.servo.simulators.mjcf import MISSING, played_paths, servo_mjcf
@@ -294,6 +294,15 @@ def test_errors_beyond_the_encoder_s_rounding_say_what_intervals_do_not_cover(mo
     (text,) = unexplained(("pan", "lift"), np.array([0.3, 1.2]))
     assert "lift 1.2 encoder steps" in text
     assert "pan" not in text
+
+
+def test_the_grade_of_a_small_error_does_not_fall_because_the_encoder_is_finer(model):
+    held_out = model.result.fit.model_copy(update={"held_out": True, "rollout_error": [2e-4] * 6})
+    grades = {
+        step: verdict(model.result.joints, model.result.servo, held_out, np.full(6, step)).grade
+        for step in (1e-3, 1e-6)
+    }
+    assert grades == {1e-3: "good", 1e-6: "good"}
 
 
 def test_positions_that_rest_jump_or_repeat_are_doubts_of_a_verdict(other):
