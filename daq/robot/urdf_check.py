@@ -53,7 +53,8 @@ def checked_urdf(xml: str, where: str) -> ElementTree.Element:
         raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
     root, problem = _checked(xml)
     if problem is not None:
-        raise RobotFileError(problem[1], where=f"{where}: {problem[0]}" if problem[0] else where)
+        hint = "dynid reads URDFs only: take the arm's own" if root is not None and root.tag in _OTHERS else ""
+        raise RobotFileError(problem[1], where=f"{where}: {problem[0]}" if problem[0] else where, hint=hint)
     assert root is not None
     return root
 
