@@ -76,9 +76,13 @@ def mass_of_size(model: DynamicModel) -> ArmMass | None:
     length, part = arm_length(model), part_of_arm(model)
     if not length > 0.0:
         return None
+    return replace(mass_of_length(length, part), most=mass_of_length(length + travel(model), part).most)
+
+
+def travel(model: DynamicModel) -> float:
+    """Length [m] by which what slides is drawn out."""
     ranges = [limits.position for limits, slides in zip(model.limits, model.sliding, strict=True) if slides]
-    travel = sum(high - low for low, high in ranges)
-    return replace(mass_of_length(length, part), most=mass_of_length(length + travel, part).most)
+    return sum(high - low for low, high in ranges)
 
 
 def mass_of_length(length: float, part: bool) -> ArmMass:

@@ -118,7 +118,7 @@ def _carries_stated_masses(robot_file: RobotFile, model: DynamicModel, peak: Flo
 
 def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) -> list[Check]:
     """Check whether the peak torque would hold a mass that no arm of this size has; needs no limits."""
-    reach = _length(model)
+    reach = full_length(model)
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
     if not turning:
         return []
@@ -159,8 +159,8 @@ def weight_checks(
         return []
     peak = np.max(np.abs(weight), axis=1)
     strongest = max(turning, key=lambda row: float(peak[row]))
-    mass = mass_of_length(_length(model), part_of_arm(model))
-    shown = float(peak[strongest]) / (CENTRE * STANDARD_GRAVITY * _length(model) / LENGTHS_PER_REACH)
+    mass = mass_of_length(full_length(model), part_of_arm(model))
+    shown = float(peak[strongest]) / (CENTRE * STANDARD_GRAVITY * full_length(model) / LENGTHS_PER_REACH)
     name = model.joint_names[strongest]
     gravity = f"gravity's part of the torque of {name} reaches {_figure(float(peak[strongest]))} N·m"
     if shown >= TOO_HEAVY * mass.most:
@@ -261,7 +261,7 @@ def _largest_friction(robot: Robot, model: DynamicModel, base: BaseParameters, p
     return max(shares.values()) if len(shares) == model.dof else None
 
 
-def _length(model: DynamicModel) -> float:
+def full_length(model: DynamicModel) -> float:
     """Length [m] of the arm, with what the frames of a part may not show."""
     return arm_length(model) + (UNKNOWN_LENGTH if part_of_arm(model) else 0.0)
 

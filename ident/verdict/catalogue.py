@@ -264,6 +264,16 @@ _MODEL = (
         PARAMETERS,
         "the data contradict the robot file's statements about links",
         "Correct `known` or `prior` in the robot file, or check gains and geometry.",
+        figures=True,
+    ),
+    CheckKind(
+        "known-implausible",
+        "model",
+        "warning",
+        PARAMETERS,
+        "the robot file states a body or a joint that no arm of this size has",
+        "Correct `known` or `prior` in the robot file; the message gives what is plausible.",
+        figures=True,
     ),
     note(
         "weight-not-separate",

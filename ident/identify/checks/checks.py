@@ -41,6 +41,7 @@ from ident.identify.checks.estimate_checks import (
 )
 from ident.identify.checks.extrapolation import extrapolation_checks
 from ident.identify.checks.residual_bursts import burst_checks
+from ident.identify.checks.stated_values import stated_value_checks
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.data_split import distinct
 from ident.identify.friction.drift import friction_drift_checks
@@ -124,8 +125,6 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         None if consistent is None else consistent.parameters,
         None if consistent is None else (identification.fit.relative_error, consistent.fit.relative_error),
     )
-    # Bodies that the robot file states against the data have a wrong weight and place, too.
-    denied = any(check.name == "known-contradicts-data" for check in checks)
     if not (named or levels):
         weight = [] if of_urdf(scale) else _weight_checks(identification)
         checks += weight or urdf_scale_checks(scale)
@@ -136,20 +135,24 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         torques = [run.signals.torque for run in identification.runs]
         checks += bias_checks(identification.model, identification.base, values, std, np.concatenate(torques))
     checks += weight_split_checks(identification)
-    if consistent is not None:
-        whole = identification.experiment == whole_arm(identification.model)
-        bodies = body_checks(
-            identification.model,
-            identification.robot_file,
-            identification.base,
-            identification.estimate,
-            consistent.parameters,
-            whole=whole,
-        )
-        follow = {"implausible-mass"} if named or any(check.name == "implausible-mass" for check in checks) else set()
-        follow |= {"implausible-link", "implausible-centre"} if denied else set()
-        checks += [check for check in bodies if check.name not in follow]
+    checks += _body_checks(identification, checks, named=named)
     return checks + residual_checks(identification.residual_tests)
+
+
+def _body_checks(identification: Identification, checks: Sequence[Check], *, named: bool) -> list[Check]:
+    """Bodies that no arm has, or that its file states, less those that follow from `checks`; `named`: by a mistake."""
+    if identification.consistent is None:
+        return []
+    model, robot_file, base = identification.model, identification.robot_file, identification.base
+    consistent, estimate = identification.consistent.parameters, identification.estimate
+    bodies = body_checks(
+        model, robot_file, base, estimate, consistent, whole=identification.experiment == whole_arm(model)
+    )
+    stated = [] if named else stated_value_checks(model, robot_file, base, estimate, consistent.contradicted)
+    follow = {"implausible-mass"} if named or any(check.name == "implausible-mass" for check in checks) else set()
+    # Bodies that the robot file states against the data, or the arm's size, have a wrong weight and place, too.
+    follow |= {"implausible-link", "implausible-centre"} if consistent.contradicted or stated else set()
+    return [*stated, *(check for check in bodies if check.name not in follow)]
 
 
 def _weight_checks(identification: Identification) -> list[Check]:

@@ -19,6 +19,7 @@ from drivers.core.errors import RobotFileError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.problem import COASTING, friction_rates
+from ident.identify.checks.stated_values import stated_value_checks
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
@@ -166,9 +167,9 @@ def test_bodies_that_the_urdf_states_may_be_heavy_for_their_length(tmp_path: Pat
     assert "implausible-mass" in {check.name for check in identify([scaled(run, 200.0)], [], QUICK).checks}
 
 
-def stating(**known: float) -> RobotFile:
-    """The arm whose file has known values."""
-    content = yaml.safe_load(arm(1, False).text) | {"known": known}
+def stating(links: dict[str, object] | None = None, **known: object) -> RobotFile:
+    """The arm whose file has known values, and bodies of links."""
+    content = yaml.safe_load(arm(1, False).text) | {"known": known, "prior": {"links": links or {}}}
     return parse_robot(yaml.safe_dump(content), where="stating", folder=None)
 
 
@@ -188,6 +189,32 @@ def test_what_no_data_fit_is_refused_with_what_they_say() -> None:
     given = stating(total_mass=0.1 * float(masses(found(1, False)).sum()))
     with pytest.raises(RobotFileError, match=r"no data agree with known.total_mass = .* \(the data say about .* kg\)"):
         identify([recording(1, False)], [], QUICK, given)
+
+
+def test_what_the_file_states_is_plausible_or_named() -> None:
+    """True values of every kind raise nothing; what is off by a factor of 1,000 is named, whatever the data show."""
+    one, truth = found(1, False), truth_vector(arm(1, False))
+    true = dict(zip([parameter.name for parameter in one.model.parameters], truth.tolist(), strict=True))
+    true["total_mass"] = float(truth[9 : 10 * one.model.dof : 10].sum())
+
+    def said(links: dict[str, object] | None = None, **known: object) -> str:
+        checks = stated_value_checks(one.model, stating(links, **known), one.base, one.estimate, ())
+        return " ".join(check.text for check in checks)
+
+    keys = ("total_mass", "M1", "M4", "MY1", "YY1", "Ia2", "Fv3", "Fs1", "Fo2")
+    centre = [true[f"M{axis}1"] / true["M1"] for axis in "XYZ"]
+    assert not said({"j1": {"mass": true["M1"], "com": centre}}, **{key: true[key] for key in keys})
+    assert not said(**{key: {"max": 1e3 * abs(true[key]), "min": -1e3 * abs(true[key])} for key in keys})
+    large = said({"j1": {"mass": 1e3 * true["M1"], "com": [0, 1e3, 0]}}, **{key: 1e3 * true[key] for key in keys})
+    least = said(**{key: {"min": 1e3 * abs(true[key])} for key in keys})
+    small = said(**{key: {"max": 1e-3 * true[key]} for key in ("total_mass", "M1", "M4")})
+    assert all(f"known.{key} =" in large and f"known.{key} =" in least for key in keys)
+    assert all(f"prior.links.j1.{key} =" in large for key in ("mass", "com"))
+    assert all(f"known.{key} =" in small for key in ("total_mass", "M1", "M4"))
+    heavy = identify([recording(1, False)], [], QUICK, stating(M1=1e3 * true["M1"]))
+    result = summarise(heavy, [recording(1, False)], [])
+    assert "the robot file states: known.M1 =" in result.verdict.headline
+    assert result.verdict.purposes["simulation"].grade != "good"
 
 
 @pytest.mark.realdata

@@ -154,6 +154,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.in_a_narrow_range(),
         lambda b: b.tested(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 9}, M3: 2}\ndrives:\n"})),
     ),
+    "known-implausible": (
+        lambda b: b.tested(robot_file=b.said({"drives:\n": "known: {M1: 4000}\ndrives:\n"})),
+        lambda b: b.tested(robot_file=b.said({"drives:\n": "known: {M1: 4}\ndrives:\n"})),
+    ),
     "weight-not-separate": (lambda b: b.lift(), lambda b: b.clean()),
     "consistency-rejected": (lambda b: b.opposite(), lambda b: b.clean() | b.lift()),
     "armature-assumed": (

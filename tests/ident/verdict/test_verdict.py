@@ -27,7 +27,12 @@ errors = st.none() | st.builds(
     Evidence, torques, st.fixed_dictionaries(dict.fromkeys(JOINTS, torques)), st.lists(motions, max_size=2).map(tuple)
 )
 checks = st.lists(
-    st.builds(raised, st.sampled_from(sorted(CATALOGUE)), st.text(max_size=5), st.lists(st.sampled_from(JOINTS))),
+    st.builds(
+        raised,
+        st.sampled_from(sorted(CATALOGUE)),
+        st.text("abc", min_size=1, max_size=5),
+        st.lists(st.sampled_from(JOINTS)),
+    ),
     max_size=6,
 )
 
