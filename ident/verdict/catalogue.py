@@ -109,7 +109,7 @@ _MODEL = (
         "serious",
         ALL,
         "positions and torques of two joints are swapped",
-        "Check the order of the columns and of the joints in the robot file.",
+        "Check the order of columns and of the robot file's joints.",
     ),
     CheckKind(
         "motors-coupled",
@@ -149,7 +149,7 @@ _MODEL = (
         "warning",
         ALL,
         "the position of a joint lags all other signals",
-        "Check how this position is read and stamped: another bus, a filter, a cycle too late.",
+        "Check how it is read and stamped: another bus, a filter, a cycle too late.",
     ),
     CheckKind(
         "position-ripple",
@@ -157,7 +157,7 @@ _MODEL = (
         "warning",
         ALL,
         "the position of a joint has an error that repeats with its angle",
-        "Check the encoder's centring and correction table; slower motion and a lower cut-off suffer less.",
+        "Check the encoder's centring and correction table, or move more slowly.",
     ),
     CheckKind(
         "wrong-gain",
@@ -173,7 +173,7 @@ _MODEL = (
         "serious",
         ALL,
         "the robot file has the lengths of an arm of another size",
-        "Use the robot file or URDF of this arm, not of another size in its family.",
+        "Use the robot file or URDF of this arm.",
     ),
     CheckKind(
         "inconsistent-gain",
@@ -187,7 +187,7 @@ _MODEL = (
         "lengths-unchecked",
         "data",
         "the data do not verify the lengths in the robot file",
-        "Check that the file belongs to this arm; faster motion of all joints would show it.",
+        "Check that the file belongs to this arm, or move all joints faster.",
     ),
     CheckKind(
         "inconsistent-length",
@@ -195,7 +195,7 @@ _MODEL = (
         "warning",
         ALL,
         "the torques fit another length of the arm better",
-        "Check this length in the robot file or URDF, and that the file belongs to this arm.",
+        "Check this length, and that the file belongs to this arm.",
     ),
     CheckKind(
         "friction-near-reversals",
@@ -225,7 +225,7 @@ _MODEL = (
         "serious",
         ALL,
         "the torques imply a mass that is impossible for an arm of this size, payload or URDF",
-        "Check the unit of torque or current, the drive gains, and the lengths in the robot file or URDF (m, not mm).",
+        "Check the unit of torque or current, the drive gains, and the lengths (m, not mm).",
     ),
     CheckKind(
         "torques-scaled",
@@ -233,7 +233,7 @@ _MODEL = (
         "warning",
         ALL,
         "the torques are those of the URDF's bodies times one factor",
-        "Check the unit of torque or current and all drive gains, or the URDF's masses.",
+        "Check the unit of torque or current, all drive gains, and the URDF's masses.",
     ),
     note(
         "torque-biased",
@@ -308,7 +308,7 @@ _MODEL = (
         "serious",
         ("simulation",),
         "the physically consistent model could not be simulated along the held-out motion",
-        "See the reason; a prior keeps the inertia of links at the boundary away from zero.",
+        "See the reason; a prior keeps inertias away from zero.",
     ),
     note(
         "links-on-boundary",
@@ -326,13 +326,13 @@ _RESIDUALS = (
         "warning",
         PREDICTION,
         "the friction changes during the recording",
-        "Record an arm that is warm, or its temperatures at several of them, and validate at another time.",
+        "Record a warm arm, or its temperature over a range, and validate at another time.",
     ),
     note(
         "residuals-curved",
         "model",
         "the residuals are nonlinear in torque or velocity: the model lacks a term",
-        "Try --friction auto; the friction plots show whether a Stribeck or power term is missing.",
+        "Try --friction auto, and look at the friction plots.",
     ),
     note(
         "residuals-autocorrelated",
@@ -344,7 +344,7 @@ _RESIDUALS = (
         "residuals-uneven",
         "model",
         "the residuals grow with torque or velocity",
-        "Parameters excited at low torque could be estimated more precisely than by WLS.",
+        "Parameters excited at low torque are less precise than they could be.",
     ),
     note(
         "residuals-not-normal",
@@ -359,7 +359,7 @@ _VALIDATION = (
         "errors-near-standstill",
         "model",
         "the validation error is larger than the identification's only below 0.1 rad/s (or m/s)",
-        "Coulomb friction is not well defined near standstill: expect errors at starts, stops and reversals.",
+        "Expect errors at starts, stops and reversals.",
     ),
     CheckKind(
         "recording-changes",
@@ -383,7 +383,7 @@ _VALIDATION = (
         "warning",
         ALL,
         "the validation error is much larger than the identification's",
-        "The model overfits, or the other motion has effects that this one lacks; record a richer motion.",
+        "Record a richer motion, which shows the effects of the other one.",
     ),
     CheckKind(
         "not-held-out",
@@ -391,7 +391,7 @@ _VALIDATION = (
         "warning",
         ALL,
         "the validation contains samples of the identification",
-        "Validate with another recording; errors on data that were used say nothing about others.",
+        "Validate with another recording.",
     ),
     CheckKind(
         "not-validated",
@@ -438,7 +438,7 @@ _EXPORT = (
         "serious",
         ("simulation",),
         "the exported model gains energy while unpowered",
-        "Use smaller time steps; light links with little friction turn too fast for the present ones.",
+        "Use smaller time steps: light links with little friction turn fast.",
     ),
     CheckKind(
         "export-loses-motion",
@@ -454,7 +454,7 @@ _EXPORT = (
         "warning",
         ("simulation",),
         "MuJoCo could not read the exported file",
-        "Install MuJoCo (pip install mujoco) and export again, or see what it rejects.",
+        "Install MuJoCo (pip install mujoco), or see what it rejects.",
     ),
 )
 

@@ -17,7 +17,7 @@ RECORDING = (
         "serious",
         ALL,
         "the arm was led by hand, whose forces the torques do not contain",
-        "Identify from a motion that dynid plays; this recording only shows where the arm was.",
+        "Identify from a motion that dynid plays.",
     ),
     note(
         "import-warning",
@@ -51,7 +51,7 @@ RECORDING = (
         "serious",
         ALL,
         "positions are in degrees or millimetres",
-        "Convert them to rad (or m) or import with --degrees; otherwise correct the robot file's limits.",
+        "Convert them, import with --degrees, or correct the robot file's limits.",
     ),
     CheckKind(
         "position-jump",
@@ -77,14 +77,7 @@ RECORDING = (
         "no torque changes with the motion",
         "The column may be another quantity, such as a temperature: --column torque=NAME.",
     ),
-    CheckKind(
-        "same-column",
-        "mistake",
-        "serious",
-        ALL,
-        "two joints have the same torque",
-        "One column was used for both: check the column names.",
-    ),
+    CheckKind("same-column", "mistake", "serious", ALL, "two joints have the same torque", "Check the column names."),
     CheckKind(
         "position-velocity-exchanged",
         "mistake",
@@ -117,7 +110,7 @@ RECORDING = (
         "velocity-scale",
         "mistake",
         "the recorded velocity of some joints contradicts their position",
-        "It is used only with --measured-velocity; check its unit and gear ratio.",
+        "Check its unit and gear ratio; only --measured-velocity uses it.",
     ),
     CheckKind(
         "clocks-drift",
@@ -157,7 +150,7 @@ RECORDING = (
         "serious",
         ("torque_prediction", "collision_detection", "payload_estimation"),
         "no torque or current is recorded with its sign",
-        "Commands and positions give a servo model (--method servo); torques need a signed current or torque.",
+        "Record one, or identify a servo model from commands and positions (--method servo).",
     ),
     CheckKind(
         "positions-alone",
@@ -181,7 +174,7 @@ RECORDING = (
         "serious",
         ("simulation",),
         "the stamps of commands and positions do not match",
-        "Use one clock for both; a servo follows its command by some 0.05 to 0.2 s and never leads it.",
+        "Use one clock for both; a servo follows its command by 0.05 to 0.2 s.",
     ),
     CheckKind(
         "command-order",
@@ -197,7 +190,7 @@ RECORDING = (
         "serious",
         ("simulation",),
         "commands and positions differ by a constant factor or offset",
-        "State the unit of both in the file, or import with --degrees; use one calibration for both.",
+        "State both units in the file, or import with --degrees; use one calibration.",
     ),
     CheckKind(
         "command-other",
@@ -299,7 +292,7 @@ RECORDING = (
         "serious",
         ALL,
         "recorded torques are orders of magnitude below the joints' limits",
-        "Check the unit of the current (A, not kA), the drive gains (joint side, gear ratio included), and the limits.",
+        "Check the unit of the current (A, not kA), the drive gains (gear ratio included), and the limits.",
     ),
     CheckKind(
         "implausible-load",
@@ -343,7 +336,7 @@ EXCITATION = (
         "warning",
         ALL,
         "the search missed the optimum of its own cost",
-        "Use --method wls, which finds that optimum, or more generations and a wider box.",
+        "Use --method wls, or more generations and a wider box.",
     ),
     note(
         "few-independent-samples",
@@ -385,7 +378,7 @@ EXCITATION = (
         "warning",
         ALL,
         "a joint moved in one direction only",
-        "Record both directions: Coulomb friction and a constant torque are not distinguishable in one.",
+        "Record both: one cannot separate Coulomb friction from a constant torque.",
     ),
     CheckKind(
         "extrapolation",
@@ -400,7 +393,7 @@ EXCITATION = (
         "few-moves-for-energy",
         "data",
         "the energy model has one equation for all joints together",
-        "Record many different moves instead of a periodic motion, or use --method wls.",
+        "Record many different moves, or use --method wls.",
     ),
     CheckKind(
         "joints-locked",
@@ -416,6 +409,6 @@ EXCITATION = (
         "warning",
         PARAMETERS,
         "torques of motors at rest are used",
-        "Leave them out with --torques-of: static friction or a brake may carry any part of the load.",
+        "Leave them out with --torques-of: friction or a brake may carry part of the load.",
     ),
 )
