@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
 
 from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, check_outputs, replace_files, write_folder
 from daq.recording.reader import read_recording
@@ -52,6 +52,11 @@ def recording_of(run: Run) -> Recording:
     else:
         door = "dynid.Recording.from_arrays(robot, time=…, position=…, torque=… or current=…)"
     raise UsageError(f"{given_kind(run)} is not a recording: it states neither robot nor units", hint=door)
+
+
+def is_trajectory(run: Run) -> TypeGuard[str | PathLike[str]]:
+    """Return whether it is the path of a trajectory file (.yaml), which holds a motion in place of a recording."""
+    return isinstance(run, (str, PathLike)) and Path(run).suffix in {".yaml", ".yml"}
 
 
 def recordings_of(runs: Runs) -> list[Recording]:

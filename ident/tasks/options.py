@@ -226,8 +226,9 @@ class PredictOptions(Options):
     run: Run = field(
         metadata=argument(
             "recording",
-            "Recording of the same arm (.h5).",
-            meaning="a recording of the same arm, or its path; without a recorded torque there is no residual.",
+            "Recording of the same arm (.h5), or a trajectory file (.yaml).",
+            meaning="a recording of the same arm, or its path; without a recorded torque there is no residual. Or the "
+            "path of a trajectory file, whose motion is followed exactly.",
             command_type=Path,
         )
     )

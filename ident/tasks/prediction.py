@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from os import PathLike
@@ -31,11 +31,15 @@ from ident.result.models.load_model import load_model
 from ident.result.models.model import Model
 from ident.result.result_file import stored_model
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.arguments import PagedResult, recording_of
+from ident.tasks.arguments import PagedResult, is_trajectory, recording_of
+from ident.tasks.excitation import load_trajectory
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.options import PredictOptions
 
 PREDICTION_STREAM = "prediction"
+
+PLANNED_RATE = 500.0
+"""Samples per second [Hz] of a motion that was not recorded."""
 
 DESCRIPTIONS = {
     "predicted_torque": "of the model: inertial, Coriolis, gravity and friction torque together",
@@ -205,7 +209,7 @@ class Prediction(PagedResult):
 
 @keywords_of(PredictOptions)
 def predict(options: PredictOptions) -> Prediction:
-    """Predict the joint torques [N·m] of a recording, part by part, with standard deviations and what remains.
+    """Predict the joint torques [N·m] of a motion, part by part, with standard deviations and what remains.
 
     Raises:
         DataError: the recording lacks positions, a joint or a gain, or is too short.
@@ -220,9 +224,9 @@ def predict(options: PredictOptions) -> Prediction:
         >>> prediction.summary.columns[1].heading
         'measured [N·m]'
     """
-    recording = recording_of(options.run)
     model = model_of(options.identified, options.parameters, "the torque of a motion")
     robot_file = stored_model(model.result).robot_file
+    recording = _planned(options.run, robot_file) if is_trajectory(options.run) else recording_of(options.run)
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments
     std = np.concatenate([segment.std for segment in segments])
@@ -245,6 +249,16 @@ def predict(options: PredictOptions) -> Prediction:
         origin=f"{model.kind} parameters of {model.name}, identified {model.result.created}, along {recording.label}",
         segments=predicted,
         comment=recording.comment,
+    )
+
+
+def _planned(trajectory: str | PathLike[str], robot_file: RobotFile) -> Recording:
+    """The motion of a trajectory file as if an arm had followed it exactly: positions and velocities, no torque."""
+    motion = load_trajectory(trajectory, robot_file)
+    time = np.arange(int(motion.duration * PLANNED_RATE) + 1) / PLANNED_RATE
+    position, velocity, _ = motion.evaluate(time)
+    return replace(
+        Recording.from_dict(robot_file, {"t": time, "q": position, "dq": velocity}), path=path_of(trajectory)
     )
 
 

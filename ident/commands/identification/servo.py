@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 SERVO = "servo"
 """Value of --method that identifies from commands and encoders in place of torques."""
 
-TRAJECTORY_SUFFIXES = frozenset({".yaml", ".yml"})
-"""Suffixes of a file that holds a motion in place of a recording."""
-
 SERVO_USE = "dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml"
 """What to do next with the model in a folder."""
 
@@ -70,10 +67,11 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
     from daq.recording.writer import write_recording
     from ident.commands.printing.result import print_tables
     from ident.identify.data_split import labelled
+    from ident.tasks.arguments import is_trajectory
     from ident.tasks.servo import load_servo_model
 
     model = load_servo_model(path)
-    if run.suffix in TRAJECTORY_SUFFIXES:
+    if is_trajectory(run):
         write_recording(out, model.play(run), overwrite=force)
         if as_json:
             from daq.commands.console import print_json

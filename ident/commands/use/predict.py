@@ -23,7 +23,7 @@ def predict_torque(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Predict a recording's torques: gravity, friction, inertia, rest; of a servo model, its positions.
+    """Predict the torques of a recording or planned motion, part by part; of a servo model, its positions.
 
     Example: dynid predict model run.h5 -o predicted.h5 --page predicted.html
     """
