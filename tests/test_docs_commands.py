@@ -41,6 +41,7 @@ AFTERNOONS = (
         "dynid validate model val.h5 --max-error 0.08 --max-joint-error 0.2 --max-rmse 3",
         "dynid export model --urdf arm.urdf --mjcf arm.xml --ros2-inertial inertial.yaml --c arm",
         "dynid predict model run.h5 -o predicted.h5 --page predicted.html",
+        "dynid predict model motion.yaml --page planned.html",
         "dynid monitor --replay run.h5 --model model --page contacts.html",
         "dynid identify run.h5 --validate val.h5 -o model-june --history arm.db",
         "dynid history add model-may model-june --history arm.db",
@@ -123,6 +124,12 @@ SWEPT = (
 )
 """Two joints with friction, for its experiments and for loads."""
 
+SINES = (
+    "{robot: up6, kind: sines, duration: 8, ramp: 1, offset: [0, 0, 0], "
+    "amplitude: [[0.5, 0.3], [0, 0], [0, 0]], frequency: [[0.7, 2.1], [1, 2], [1, 2]]}"
+)
+"""A trajectory file of the first joint of the UP6."""
+
 WRITTEN = re.compile(r"(?:-o|--page|--csv|--urdf|--mjcf|--ros2-inertial) (\S+)")
 """Options that name a file or folder to be written."""
 
@@ -187,9 +194,7 @@ def recorded(robot: str | RobotFile, *names: str) -> None:
 def locked_joints() -> None:
     three = re.sub(r"\b[SLU](?=[,:])", lambda match: f"j{4 + 'SLU'.index(match[0])}", load_robot("up6").text)
     Path("arm.yaml").write_text(three)
-    of = "{robot: up6, kind: sines, duration: 8, ramp: 1, offset: [0, 0, 0], "
-    of += "amplitude: [[0.5, 0.3], [0, 0], [0, 0]], frequency: [[0.7, 2.1], [1, 2], [1, 2]]}"
-    Path("first.yaml").write_text(of)
+    Path("first.yaml").write_text(SINES)
     played("arm.yaml", "first.yaml", 1).save("locked.h5")
     recorded("arm.yaml", "free", "val")
 
@@ -217,6 +222,7 @@ def servo_recordings() -> None:
 BEFORE: dict[str, Callable[[], object]] = {
     "model-may": model_of_may,
     "model-june --history": model_of_may,
+    "motion.yaml --page": lambda: Path("motion.yaml").write_text(SINES),
     "limits.yaml": lambda: Path("limits.yaml").write_text("relative_error: 0.5"),
     "fleet.yaml": lambda: Path("fleet.yaml").write_text("arms: [{name: cell-1, recordings: [run.h5]}]"),
     "arm.yaml --for": lambda: shutil.copy(REPOSITORY / "daq" / "robot" / "builtin" / "up6.yaml", "arm.yaml"),
