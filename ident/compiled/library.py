@@ -102,7 +102,7 @@ def _fingerprint(compiler: str) -> str:
 
     built_by = os.stat(compiler)
     parts = [os.path.realpath(compiler), str(built_by.st_size), str(built_by.st_mtime_ns), *OPTIONS, _processor()]
-    parts += [Path(__file__).with_name(name).read_text() for name in SOURCES]
+    parts += [Path(__file__).with_name(name).read_text(encoding="utf-8") for name in SOURCES]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
 
 
@@ -110,7 +110,7 @@ def _processor() -> str:
     """Return what the instructions of a build depend on: a home folder may be that of several computers."""
     import platform
 
-    with suppress(OSError), open("/proc/cpuinfo") as lines:
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as lines:
         keys = ("flags", "Features", "model", "CPU part", "CPU implementer", "vendor_id", "cpu family")
         first = [line for line in iter(lines.readline, "\n") if line.split("\t")[0].strip() in keys]
         return platform.machine() + "".join(first)
