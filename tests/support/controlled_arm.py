@@ -11,17 +11,21 @@ from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.measurement import random_fourier_motion
 
 PERIOD = 10.0
+"""[s] of the motion."""
+CANDIDATES = 10
 FOLLOWED = 0.02
 """How closely [rad] the arm must follow."""
 SIGNAL_UNITS = {"current": "A", "voltage": "V"}
 
 
-def follow(robot_file: RobotFile, seed: int, duration: float, candidates: int = 10, rate: float = 500.0) -> Recording:
+def follow(
+    robot_file: RobotFile, seed: int, duration: float, *, rate: float = 500.0, period: float = PERIOD
+) -> Recording:
     """The best of random Fourier motions, recorded once it is at speed, with the signal that the file's drives name.
 
     The controller's period is the recording's, 1/rate [Hz].
     """
-    motion = random_fourier_motion(build_model(robot_file), PERIOD, seed, candidates)
+    motion = random_fourier_motion(build_model(robot_file), period, seed, CANDIDATES)
     time = np.arange(round(duration * rate)) / rate
     position, velocity, acceleration = (values.T for values in motion.evaluate(time))
     # The motion begins at speed: for two seconds its own time speeds up from a standstill, φ = t²/4 − 1.
