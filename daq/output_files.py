@@ -104,7 +104,7 @@ def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = 
             is missing or not the user's, or another program writes it.
     """
     outputs = [path for path in files if path is not None]
-    read = [file for path in inputs if path is not None for file in _files_of(path)]
+    read = [file for path in inputs if path for file in (path.iterdir() if path.is_dir() else [path])]
     _claim(outputs)  # first: a file that another command writes may not exist yet
     for number, path in enumerate(outputs):
         exists = _regular_file(path)
@@ -137,10 +137,6 @@ def check_output_folder(
     above = next(parent for parent in folder.absolute().parents if os.path.lexists(parent))
     _check_folder(above, str(above))
     _claim(folder / name for name in names)
-
-
-def _files_of(path: Path) -> list[Path]:
-    return list(path.iterdir()) if path.is_dir() else [path]
 
 
 def _same(path: Path, other: Path) -> bool:

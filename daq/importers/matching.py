@@ -53,7 +53,7 @@ def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool,
     index = {name: column for column, name in enumerate(names)}
     if all(joint in index for joint in joints):
         return _matched(names, [index[joint] for joint in joints], ())
-    prefixed = _prefixes(joints[0], names)
+    prefixed = [name[: -len(joints[0])] for name in names if _ends_in(name, joints[0])]
     fitting = [prefix for prefix in prefixed if all(f"{prefix}{joint}" in index for joint in joints)]
     if len(fitting) == 1:
         note = Note("info", f"the file's joint names carry the prefix '{printable(fitting[0])}', the robot's don't")
@@ -96,10 +96,6 @@ def _matched(names: Sequence[str], columns: list[int], notes: tuple[Note, ...]) 
     if ignored:
         notes = (*notes, Note("info", f"joints that the robot does not have were dropped: {listed(ignored)}"))
     return JointMatch(tuple(columns), notes)
-
-
-def _prefixes(joint: str, names: Sequence[str]) -> list[str]:
-    return [name[: -len(joint)] for name in names if _ends_in(name, joint)]
 
 
 def _own_prefixes(joints: Sequence[str]) -> list[str]:

@@ -65,8 +65,7 @@ def read_stamps(path: Path) -> dict[str, FloatArray]:
     Raises:
         RecordingError: as `read_recording`.
     """
-    _check_file(path, LONG_RECORDING_FILE)
-    return read_apart(lambda progress: _opened(path, lambda file: _stamps(file, path)), path, RecordingError)
+    return _of_clocks(path, lambda clocks: {name: np.asarray(time, dtype=np.float64) for name, time in clocks.items()})
 
 
 def recording_seconds(path: Path) -> float:
@@ -75,8 +74,25 @@ def recording_seconds(path: Path) -> float:
     Raises:
         RecordingError: as `read_recording`.
     """
+
+    def longest(clocks: dict[str, Any]) -> float:
+        ends = [time[[0, -1]] for time in clocks.values() if len(time) > 1]
+        return max((float(last - first) for first, last in ends), default=0.0)
+
+    return _of_clocks(path, longest)
+
+
+def _of_clocks(path: Path, read: Callable[[dict[str, Any]], _Read]) -> _Read:
+    """What a function makes of the stamps of each stream, which are still on the disk."""
+
+    def of_file(file: Any) -> _Read:
+        try:
+            return read({name: group["time"] for name, group in file["streams"].items()})
+        except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+            raise RecordingError("is not a recording of dynid, or damaged", where=str(path)) from error
+
     _check_file(path, LONG_RECORDING_FILE)
-    return read_apart(lambda progress: _opened(path, lambda file: _seconds(file, path)), path, RecordingError)
+    return read_apart(lambda progress: _opened(path, of_file), path, RecordingError)
 
 
 def _check_file(path: Path, kind: InputKind, hint: str = "") -> None:
@@ -135,22 +151,6 @@ def _has_hdf5_signature(path: Path) -> bool:
         raise RecordingError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
-def _stamps(file: Any, path: Path) -> dict[str, FloatArray]:
-    try:
-        return {name: np.asarray(group["time"], dtype=np.float64) for name, group in file["streams"].items()}
-    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
-        raise RecordingError("is not a recording of dynid, or damaged", where=str(path)) from error
-
-
-def _seconds(file: Any, path: Path) -> float:
-    """Longest of its streams."""
-    try:
-        ends = [group["time"][[0, -1]] for group in file["streams"].values() if len(group["time"]) > 1]
-        return max((float(last - first) for first, last in ends), default=0.0)
-    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
-        raise RecordingError("is not a recording of dynid, or damaged", where=str(path)) from error
-
-
 def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
     where = str(path)
     attributes = file.attrs
@@ -202,7 +202,9 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
         complete=bool(attributes.get("complete", False)),
         streams=streams,
         events=tuple(
-            event for event in read_events(members.get("events"), bounds) if part is None or _is_in(event.time, within)
+            event
+            for event in read_events(members.get("events"), bounds)
+            if part is None or math.isnan(event.time) or within[0] <= event.time < within[1]
         ),
     )
 
@@ -222,11 +224,6 @@ def _read_versions(text: Any) -> dict[str, str]:
     except ValueError:
         return {}
     return {str(key): str(value) for key, value in versions.items()} if isinstance(versions, dict) else {}
-
-
-def _is_in(time: float, within: tuple[float, float]) -> bool:
-    """Return whether an event belongs to a part; those without a time belong to all."""
-    return math.isnan(time) or within[0] <= time < within[1]
 
 
 def _read_stream(group: Any, where: str, within: tuple[float, float]) -> Stream:  # noqa: C901, PLR0912 — a branch per mistake

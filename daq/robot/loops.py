@@ -142,17 +142,6 @@ def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str,
     return tuple(passive)
 
 
-def check_drives(driven: Iterable[str], passive: tuple[str, ...]) -> None:
-    """Refuse a motor on a joint that has none.
-
-    Raises:
-        ValueError: naming it.
-    """
-    for name in driven:
-        if name in passive:
-            raise ValueError(f"'drives' names joint '{name}', but by 'model.loops' it is passive: it has no motor")
-
-
 def check_coupling(
     coupling: Mapping[str, Mapping[str, float]], active: tuple[str, ...], passive: tuple[str, ...]
 ) -> None:

@@ -72,7 +72,7 @@ def name_problems(names: JointNames) -> tuple[str, ...]:
         problems += [
             f"'{section}' names joint '{key}', but 'joints' has only: {', '.join(joints)}"
             for key in keys
-            # A passive joint among the drives has a message of its own, see `loops.check_drives`.
+            # A passive joint among the drives has a message of its own, see `schema.Robot`.
             if key not in joints and not (section == "drives" and key in names.passive)
         ]
     for section, keys in names.link_keys:

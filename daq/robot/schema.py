@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
-from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
+from daq.robot.loops import Loop, check_coupling, check_pairs, passive_joints
 from daq.robot.prior import Known, Prior, known_problems
 from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.section import (
@@ -410,7 +410,8 @@ class Robot(Section):
             raise SeveralProblems(problems)
         if contradictions := known_problems(self.known):
             raise SeveralProblems(contradictions)
-        check_drives(driven, passive)
+        if moved := [name for name in driven if name in passive]:
+            raise ValueError(f"'drives' names joint '{moved[0]}', but by 'model.loops' it is passive: it has no motor")
         check_coupling(self.model.coupling, self.joint_names, passive)
         paired = [drive.joint for drive in self.drives if drive.pair_inertia]
         paired += [name for name, friction in self.friction.joints.items() if friction.pair is not None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -101,19 +101,18 @@ class Sources:
 
     def silence(self, stream: str, limit: float) -> str:
         """Cause of a missing stream, from its source; empty where unknown (see `drivers.base`)."""
-        for source in self._all:
-            names = [own for own, name in source.streams.items() if name == stream]
-            if names and isinstance(source.driver, Attributing):
-                return source.driver.silence(names[0], limit)
-        return ""
+        return next((driver.silence(own, limit) for driver, own in self._attributing(stream)), "")
 
     def losses(self, stream: str) -> str:
         """Cause of lost samples of a stream, from its source; empty where unknown (see `drivers.base`)."""
+        return next((driver.losses(own) for driver, own in self._attributing(stream)), "")
+
+    def _attributing(self, stream: str) -> Iterator[tuple[Attributing, str]]:
+        """The drivers that can say why a stream fails, and its name there."""
         for source in self._all:
-            names = [own for own, name in source.streams.items() if name == stream]
-            if names and isinstance(source.driver, Attributing):
-                return source.driver.losses(names[0])
-        return ""
+            for own, name in source.streams.items():
+                if name == stream and isinstance(source.driver, Attributing):
+                    yield source.driver, own
 
     def unreported(self) -> Sequence[str]:
         """Return what the main one does not report of its safety status."""

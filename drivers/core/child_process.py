@@ -66,16 +66,6 @@ def started_without_interrupt() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def peak_memory() -> float:
-    """Largest memory of this process so far [MB]; nan where the system does not tell."""
-    if sys.platform == "win32":
-        return float("nan")
-    import resource  # not on Windows
-
-    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return size / (1e6 if sys.platform == "darwin" else 1e3)
-
-
 def leave(process: Worker, patience: float) -> None:
     """Wait until a process has ended, for so long [s]; then kill it."""
     process.join(patience)

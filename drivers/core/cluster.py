@@ -1,7 +1,8 @@
-"""The workers of a Dask cluster, for whatever takes an executor."""
+"""The workers of a Dask cluster, for whatever takes an executor; the memory that one of any kind has used."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
@@ -39,6 +40,16 @@ def why_lost(error: Exception) -> str:
     if isinstance(error, CancelledError):
         return "the scheduler was lost before it was done"
     return f"its worker failed: {type(error).__name__}: {error}"
+
+
+def peak_memory() -> float:
+    """Largest memory of this process so far [MB]; nan where the system does not tell."""
+    if sys.platform == "win32":
+        return float("nan")
+    import resource  # not on Windows
+
+    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return size / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 class ClusterExecutor(Executor):

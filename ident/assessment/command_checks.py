@@ -20,9 +20,52 @@ OTHER_UNIT = 20.0
 """Ratio of the changes of positions and commands, or its inverse, from which on the two are in different units."""
 
 
-def command_checks(motion: CommandedMotion, of: str = "") -> list[Check]:
-    """Return what is wrong with commands beside measured positions; `of` begins the sentences."""
-    return _checks(motion, command_quality(motion), of)
+def command_checks(motion: CommandedMotion, quality: CommandQuality) -> list[Check]:
+    """Return what is wrong with commands beside measured positions."""
+    checks = _cover_checks(motion, quality)
+    if quality.copied is not None or quality.unrelated:
+        rows = quality.copied
+        when = f" of {counted(abs(rows), 'row')} {'later' if rows > 0 else 'earlier'}" if rows else ""
+        text = (
+            "no joint moves as its command does: are the commands changes of position, or velocities?"
+            if rows is None
+            else f"the commands are the measured positions{when}, so nothing shows what the servos do with a command"
+        )
+        checks.append(raised("command-other", f"{text}"))
+    # First: a joint that follows its command only at times looks like one with a wrong clock or order.
+    for joint, (first, last) in quality.frozen.items():
+        text = (
+            f"the position of {joint} does not change from {first:.4g} s to {last:.4g} s while its target moves to "
+            "both sides of it: check the encoder and its cable"
+        )
+        checks.append(raised("encoder-stuck", text, [joint]))
+    if quality.apart:
+        late = quality.delay > 0
+        said = "behind" if late else "ahead of"
+        why = f"a servo lags by at most {MOST_LAG:g} s" if late else f"no servo is more than {-LEAST_LAG:g} s ahead"
+        text = f"positions are {abs(quality.delay):.2f} s {said} their commands, and {why}: the clocks differ"
+        checks.append(raised("command-clock", text))
+    if quality.swapped:
+        pairs = ", ".join(f"{joint} that of {other}" for joint, other in quality.swapped.items())
+        text = f"joints follow the commands of others: {pairs}; is the order of the joints right?"
+        checks.append(raised("command-order", text, list(quality.swapped)))
+    if quality.opposite:
+        one = len(quality.opposite) == 1
+        moves = "moves against its command; is its sign" if one else "move against their commands; are their signs"
+        text = f"{', '.join(quality.opposite)} {moves} right?"
+        checks.append(raised("command-order", text, quality.opposite))
+    checks += _unit_checks(quality)
+    if quality.still:
+        text = (
+            f"the position of {', '.join(quality.still)} never changes while its target moves: check the encoder, "
+            "and whether the motor is on"
+        )
+        checks.append(raised("encoder-stuck", text, quality.still))
+    if quality.resting:
+        names = ", ".join(quality.resting)
+        text = f"{names}: at rest, and hardly commanded to move, so nothing about them can be identified"
+        checks.append(raised("joint-at-rest", text, quality.resting))
+    return checks
 
 
 def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
@@ -32,7 +75,7 @@ def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
         DataError: positions do not follow their commands, or the commands end long before them.
     """
     quality = command_quality(motion)
-    for check in _checks(motion, quality):
+    for check in command_checks(motion, quality):
         short = check.name == "commands-short" and max(quality.before, quality.after) > MOST_UNCOVERED
         if check.severity == "serious" or short:
             raise DataError(check.text, where=where, hint=CATALOGUE[check.name].remedy)
@@ -40,68 +83,21 @@ def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
             raise DataError(check.text, where=where, hint="record again, or omit this recording")
 
 
-def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> list[Check]:
-    checks = _cover_checks(motion, quality, of)
-    if quality.copied is not None or quality.unrelated:
-        rows = quality.copied
-        when = f" of {counted(abs(rows), 'row')} {'later' if rows > 0 else 'earlier'}" if rows else ""
-        text = (
-            "no joint moves as its command does: are the commands changes of position, or velocities?"
-            if rows is None
-            else f"the commands are the measured positions{when}, so nothing shows what the servos do with a command"
-        )
-        checks.append(raised("command-other", f"{of}{text}"))
-    # First: a joint that follows its command only at times looks like one with a wrong clock or order.
-    for joint, (first, last) in quality.frozen.items():
-        text = (
-            f"{of}the position of {joint} does not change from {first:.4g} s to {last:.4g} s while its target moves to "
-            "both sides of it: check the encoder and its cable"
-        )
-        checks.append(raised("encoder-stuck", text, [joint]))
-    if quality.apart:
-        late = quality.delay > 0
-        said = "behind" if late else "ahead of"
-        why = f"a servo lags by at most {MOST_LAG:g} s" if late else f"no servo is more than {-LEAST_LAG:g} s ahead"
-        text = f"{of}positions are {abs(quality.delay):.2f} s {said} their commands, and {why}: the clocks differ"
-        checks.append(raised("command-clock", text))
-    if quality.swapped:
-        pairs = ", ".join(f"{joint} that of {other}" for joint, other in quality.swapped.items())
-        text = f"{of}joints follow the commands of others: {pairs}; is the order of the joints right?"
-        checks.append(raised("command-order", text, list(quality.swapped)))
-    if quality.opposite:
-        one = len(quality.opposite) == 1
-        moves = "moves against its command; is its sign" if one else "move against their commands; are their signs"
-        text = f"{of}{', '.join(quality.opposite)} {moves} right?"
-        checks.append(raised("command-order", text, quality.opposite))
-    checks += _unit_checks(quality, of)
-    if quality.still:
-        text = (
-            f"{of}the position of {', '.join(quality.still)} never changes while its target moves: check the encoder, "
-            "and whether the motor is on"
-        )
-        checks.append(raised("encoder-stuck", text, quality.still))
-    if quality.resting:
-        names = ", ".join(quality.resting)
-        text = f"{of}{names}: at rest, and hardly commanded to move, so nothing about them can be identified"
-        checks.append(raised("joint-at-rest", text, quality.resting))
-    return checks
-
-
-def _cover_checks(motion: CommandedMotion, quality: CommandQuality, of: str) -> list[Check]:
+def _cover_checks(motion: CommandedMotion, quality: CommandQuality) -> list[Check]:
     whole = motion.time[-1] - motion.time[0]
     checks = []
     for missing, place in ((quality.before, "begin {} s after"), (quality.after, "end {} s before")):
         if missing > LEAST_UNCOVERED:
             said = place.format(f"{missing:.3g}")
-            checks.append(raised("commands-short", f"{of}the commands {said} the samples, which last {whole:.4g} s"))
+            checks.append(raised("commands-short", f"the commands {said} the samples, which last {whole:.4g} s"))
     return checks
 
 
-def _unit_checks(quality: CommandQuality, of: str) -> list[Check]:
+def _unit_checks(quality: CommandQuality) -> list[Check]:
     checks = []
     if quality.offsets:
         listed = ", ".join(f"{joint} by {offset:.2f}" for joint, offset in quality.offsets.items())
-        text = f"{of}positions follow their commands at another zero: {listed} [rad or m]; are both of one calibration?"
+        text = f"positions follow their commands at another zero: {listed} [rad or m]; are both of one calibration?"
         checks.append(raised("command-unit", text, list(quality.offsets)))
     for large, unit in (
         (True, "positions look like degrees, their commands like radians"),
@@ -111,12 +107,10 @@ def _unit_checks(quality: CommandQuality, of: str) -> list[Check]:
         apart = {joint: ratio for joint, ratio in ratios.items() if ratio > OTHER_UNIT}
         degrees = [joint for joint, ratio in apart.items() if near(ratio, DEGREES)]
         if degrees:
-            checks.append(
-                raised("command-unit", f"{of}judging by their change, the {unit}: {', '.join(degrees)}", degrees)
-            )
+            checks.append(raised("command-unit", f"judging by their change, the {unit}: {', '.join(degrees)}", degrees))
         others = [joint for joint in apart if joint not in degrees]
         if others:
             listed = ", ".join(f"{joint} {quality.ratios[joint]:.3g}" for joint in others)
-            text = f"{of}positions and their commands are in different units, by the ratio of their changes: {listed}"
+            text = f"positions and their commands are in different units, by the ratio of their changes: {listed}"
             checks.append(raised("command-unit", text, others))
     return checks

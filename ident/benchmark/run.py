@@ -12,8 +12,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from daq.recording.recording import Recording
-from drivers.core.child_process import peak_memory, started_without_main
-from drivers.core.cluster import cluster_executor, why_lost
+from drivers.core.child_process import started_without_main
+from drivers.core.cluster import cluster_executor, peak_memory, why_lost
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions

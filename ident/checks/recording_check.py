@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from daq.recording.commanded_motion import CommandedMotion, commanded_motion
+from daq.recording.quality.command_quality import command_quality
 from daq.recording.quality.signal_quality import ColumnQuality
 from daq.recording.quality.stream_quality import StreamQuality
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
@@ -129,7 +130,7 @@ def _without_torque_checks(recording: Recording, commanded: CommandedMotion | No
     if commanded is None:
         return [raised("positions-alone", f"{what}, and no commanded position: nothing can be identified")]
     text = f"{what}: commands and encoder give a servo model (dynid identify --method servo), torques are not known"
-    return [raised("no-torque", text), *command_checks(commanded)]
+    return [raised("no-torque", text), *command_checks(commanded, command_quality(commanded))]
 
 
 def _delay(motion: RecordedMotion) -> DelaySearch | None:

@@ -130,7 +130,8 @@ def _bound_warnings(bounds: Iterable[CentreBound]) -> list[str]:
 def _gain_warnings(robot_file: RobotFile) -> list[str]:
     robot = robot_file.robot
     warnings = []
-    unknown = [joint for joint in robot.joint_names if _needs_gain(robot_file, joint)]
+    drives = {joint: robot.drive(joint) for joint in robot.joint_names}
+    unknown = [joint for joint, of in drives.items() if of.gain is None and of.signal not in ("torque", "magnitude")]
     if unknown:
         warnings.append(
             f"the drive gain of {', '.join(unknown)} is unknown: recorded current cannot be turned into torque"
@@ -145,11 +146,6 @@ def _gain_warnings(robot_file: RobotFile) -> list[str]:
     if unsure:
         warnings.append(f"the drive gain of {', '.join(unsure)} has no standard deviation (gain_std)")
     return warnings
-
-
-def _needs_gain(robot_file: RobotFile, joint: str) -> bool:
-    drive = robot_file.robot.drive(joint)
-    return drive.gain is None and drive.signal not in ("torque", "magnitude")
 
 
 def budget_object(budget: Budget) -> dict[str, float]:

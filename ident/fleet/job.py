@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.output_files import RESULT_FILE, replace_files
 from daq.recording.reader import read_recording
-from drivers.core.child_process import peak_memory
+from drivers.core.cluster import peak_memory
 from drivers.core.errors import DynidError, UsageError
 from drivers.core.text import parsed_json
 from ident.fleet.plan import Job, is_url

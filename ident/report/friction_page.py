@@ -91,13 +91,8 @@ def _figure(
     return panel_figure(anchor, in_rows(panels), caption)
 
 
-def _sample(joint: JointExperiment) -> FloatArray:
-    """(4, ≤ POINTS) of the points, at random."""
-    return joint.points[:, some_of(np.arange(joint.points.shape[1]), POINTS)]
-
-
 def _speed_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Panel:
-    velocity, heat, load, torque = _sample(joint)
+    velocity, heat, load, torque = joint.points[:, some_of(np.arange(joint.points.shape[1]), POINTS)]
     unit, speed = _joint_units(model, joint)
     span = joint.stored.temperature_range
     has_span = span is not None

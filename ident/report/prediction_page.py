@@ -56,20 +56,12 @@ def prediction_page(robot: Robot, recording: str, summary: Table, predicted: Rec
 
 def prediction_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure:
     """Measured and predicted torque, a panel per joint."""
-    segments = predicted.segments
-    return joints_figure("torque-plot", joints, _stamps(segments), _torque_lines(segments), _torque_caption(predicted))
-
-
-def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:
+    segments, origin = predicted.segments, predicted.torque_origin
     measured = [segment.measured for segment in segments if segment.measured is not None]
     lines: list[Line] = [("measured", MEASURED, measured)] if measured else []
-    return [*lines, ("predicted", PREDICTED, [segment.torque for segment in segments])]
-
-
-def _torque_caption(predicted: RecordingPrediction) -> str:
-    if not predicted.torque_origin:
-        return "No torque was recorded."
-    return f"Measured: {predicted.torque_origin}, shifted by the delay, not filtered."
+    lines.append(("predicted", PREDICTED, [segment.torque for segment in segments]))
+    caption = f"Measured: {origin}, shifted by the delay, not filtered." if origin else "No torque was recorded."
+    return joints_figure("torque-plot", joints, _stamps(segments), lines, caption)
 
 
 def _residual_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure | None:

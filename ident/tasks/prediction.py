@@ -229,18 +229,18 @@ def predict(options: PredictOptions) -> Prediction:
     recording = _planned(options.run, robot_file) if is_trajectory(options.run) else recording_of(options.run)
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments
-    std = np.concatenate([segment.std for segment in segments])
+
+    def joined(name: str) -> FloatArray:
+        return np.concatenate([getattr(segment, name) for segment in segments])
+
+    std = joined("std")
     measured = [segment.measured for segment in segments if segment.measured is not None]
     residual = [segment.residual for segment in segments if segment.residual is not None]
     return Prediction(
         robot_file=robot_file,
         label=labelled(recording.label, predicted.overlap),
         joint_names=model.joint_names,
-        time=np.concatenate([segment.time for segment in segments]),
-        position=np.concatenate([segment.position for segment in segments]),
-        velocity=np.concatenate([segment.velocity for segment in segments]),
-        acceleration=np.concatenate([segment.acceleration for segment in segments]),
-        torque=np.concatenate([segment.torque for segment in segments]),
+        **{name: joined(name) for name in ("time", "position", "velocity", "acceleration", "torque")},
         **{part: np.concatenate([segment.parts[part] for segment in segments]) for part in PARTS},
         std=std,
         measured=np.concatenate(measured) if measured else None,

@@ -82,11 +82,6 @@ class ObjectEntry:
         return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.signed else (0, (1 << bits) - 1)
 
 
-def eds_text() -> str:
-    """The electronic data sheet of the simulated drive."""
-    return files("sim_drivers.canopen").joinpath(EDS_NAME).read_text(encoding="utf-8")
-
-
 @lru_cache(maxsize=128)
 def entries(node: int) -> dict[tuple[int, int], ObjectEntry]:
     """The variables of a node by index and subindex, as its EDS lists them."""
@@ -95,12 +90,13 @@ def entries(node: int) -> dict[tuple[int, int], ObjectEntry]:
 
     by_place: dict[tuple[int, int], ObjectEntry] = {}
     read: Any = import_eds
-    for index, item in read(StringIO(eds_text()), node).items():
+    text = files("sim_drivers.canopen").joinpath(EDS_NAME).read_text(encoding="utf-8")
+    for index, item in read(StringIO(text), node).items():
         for variable in [item] if isinstance(item, ODVariable) else item.values():
-            text = variable.data_type == datatypes.VISIBLE_STRING
+            is_text = variable.data_type == datatypes.VISIBLE_STRING
             by_place[index, variable.subindex] = ObjectEntry(
                 name=variable.name,
-                size=0 if text else len(variable) // 8,
+                size=0 if is_text else len(variable) // 8,
                 signed=variable.data_type in SIGNED_TYPES,
                 readable=variable.readable,
                 writable=variable.writable,

@@ -110,7 +110,8 @@ class CanopenServer(BusServer):
     def ready(self) -> dict[str, object]:
         """Address for clients."""
         adapter = {} if self.adapter is None else {"interface": "slcan", "channel": self.adapter.path}
-        return super().ready() | adapter | {"nodes": self._nodes()}
+        nodes = {joint: drive.node for joint, drive in zip(self.joints, self.network.drives, strict=True)}
+        return super().ready() | adapter | {"nodes": nodes}
 
     def live_line(self) -> str:
         """Return its state in one line."""
@@ -121,9 +122,6 @@ class CanopenServer(BusServer):
             f"bus load {percent_text(status.load, 2)}"
         )
         return with_troubles(line, lost_on_the_bus=counts.lost, spoilt=status.faulted, stalls=counts.stalls)
-
-    def _nodes(self) -> dict[str, int]:
-        return {joint: drive.node for joint, drive in zip(self.joints, self.network.drives, strict=True)}
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"canopen-nodes": self._run_on_bus}

@@ -45,7 +45,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     notes: list[Note] = []
     units: dict[str, str] = {}
     header = lines[0]
-    separator = _separator(header)
+    separator = next((mark for mark in _SEPARATORS if mark in header), None)
     names = _split_header(header, separator)
     if _is_numeric(names):
         commented = _split_header(comments.get(line_numbers[0] - 1, ""), separator)
@@ -127,10 +127,6 @@ def _significant_lines(text: str, where: str) -> tuple[list[str], list[int], dic
     if not lines:
         raise ImportFileError("is empty" if not comments else "holds nothing but comments", where=where)
     return lines, line_numbers, comments
-
-
-def _separator(header: str) -> str | None:
-    return next((separator for separator in _SEPARATORS if separator in header), None)
 
 
 def _split(line: str, separator: str | None) -> list[str]:

@@ -71,9 +71,9 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
         for array in function.inputs
         for joint in range(function.sizes.get(array, joints))
     }
-    lines = []
+    lines, used = [], {graph.nodes[number].name for number in live}
     for array in function.inputs:
-        read = [name for name in names if name.rstrip("0123456789") == array and _reads(graph, live, name)]
+        read = [name for name in names if name.rstrip("0123456789") == array and name in used]
         lines += [f"const {dialect.type_name} {name} = {names[name]};" for name in read]
         if not read:
             lines.append(f"(void){array};")
@@ -95,10 +95,6 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
             place = f"[{i}][{j}]" if function.matrix else f"[{j}]"
             lines.append(f"{function.output}{place} = {_output(graph, entry, texts)};")
     return lines
-
-
-def _reads(graph: Graph, live: list[int], name: str) -> bool:
-    return any(graph.nodes[number].name == name for number in live)
 
 
 def _text(graph: Graph, number: int, texts: dict[int, _Text], dialect: Dialect) -> _Text:
