@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from each import each
 
-from studies import check
+from studies import check, pages
 
 ROOT = Path(__file__).parents[1]
 
@@ -29,7 +29,7 @@ PRINTED = """some text 12 13 14
 
 
 def stale(page: str, printed: str) -> list[str]:
-    (table,) = check.blocks_of("page.md", page)
+    (table,) = pages.blocks_of("page.md", page)
     return [row.text.split(" | ")[0] for row, _ in check.stale_rows(table, printed)]
 
 
@@ -76,7 +76,7 @@ def test_a_row_of_which_every_column_is_left_out_must_still_be_printed():
 def test_an_empty_table_is_an_error(monkeypatch, capsys, rows, printed):
     monkeypatch.setattr(check, "output_of", lambda *_: (printed, "", "now"))
     lines = PAGE.splitlines()
-    tables = list(check.blocks_of("page.md", "\n".join(lines[: 5 + rows])))
+    tables = list(pages.blocks_of("page.md", "\n".join(lines[: 5 + rows])))
     assert not check.check(tables, 1.0)
     assert "FAILED" in capsys.readouterr().out
 
@@ -98,19 +98,19 @@ def test_the_tolerance_is_relative():
 def test_comments_that_cannot_be_read_name_their_place(comment):
     page = "\n".join([comment, *PAGE.splitlines()[2:]])
     with pytest.raises(ValueError, match=r"page\.md:\d"):
-        list(check.blocks_of("page.md", page))
+        list(pages.blocks_of("page.md", page))
 
 
 def test_a_table_that_cannot_be_measured_again_says_why():
-    (table,) = check.blocks_of(
+    (table,) = pages.blocks_of(
         "page.md", PAGE.replace("measured: python -m studies.folder.a 3 | skip: CPU s", "measured once: by hand")
     )
     assert (table.measurement.command, table.measurement.reason) == ("", "by hand")
 
 
 def rewritten(page: str, printed: str, place: tuple[int, int] = (0, 1)) -> list[str]:
-    (table,) = check.blocks_of("page.md", page)
-    return check.rewritten(table, page.split("\n"), printed, place)
+    (table,) = pages.blocks_of("page.md", page)
+    return pages.rewritten(table, page.split("\n"), printed, place)
 
 
 def test_a_table_is_replaced_by_the_printed_one_of_the_same_heading():
@@ -143,13 +143,13 @@ def test_a_text_is_replaced_by_all_that_was_printed():
     assert stale(TEXT, "\nur10    6.85  inside 94.0 %\n") == []
     assert stale(TEXT, "ur10    7.85  inside 94.0 %\n") == ["ur10    6.85  inside 94.0 %"]
     assert rewritten(TEXT, "\ntitle\nur10    7.85  inside 94.0 %  \n") == ["title", "ur10    7.85  inside 94.0 %"]
-    assert list(check.blocks_of("page.md", TEXT.replace("<!-- measured: python -m studies.folder.a -->", ""))) == []
+    assert list(pages.blocks_of("page.md", TEXT.replace("<!-- measured: python -m studies.folder.a -->", ""))) == []
 
 
 @pytest.mark.parametrize("page", [PAGE, TEXT], ids=["table", "text"])
 def test_writing_renews_figures_checksum_and_the_line_below(monkeypatch, tmp_path, capsys, page):
-    monkeypatch.setattr(check, "ROOT", tmp_path)
-    path = tmp_path / check.MEASUREMENTS / "page.md"
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    path = tmp_path / pages.MEASUREMENTS / "page.md"
     path.parent.mkdir(parents=True)
     path.write_text(page + "\nText.\n", encoding="utf-8")
     for figure, at in (("6.85", "0.1.0, commit 5e5a60a, 2026-11-22"), ("9.85", "0.2.0, commit 0123abc, 2027-01-01")):
@@ -157,18 +157,18 @@ def test_writing_renews_figures_checksum_and_the_line_below(monkeypatch, tmp_pat
             "6.85", figure
         )
         monkeypatch.setattr(check, "output_of", lambda command, seconds, outputs, now=(printed, "", at): now)
-        check.check(check.all_blocks(tmp_path), 1.0, writing=True)
-        (block,) = check.all_blocks(tmp_path)
+        check.check(pages.all_blocks(tmp_path), 1.0, writing=True)
+        (block,) = pages.all_blocks(tmp_path)
         assert (block.at, block.below["sum"]) == (at, block.checksum)
         text = path.read_text(encoding="utf-8")
         assert figure in text
         assert text.endswith(f"; version {at}.* <!-- block {block.checksum} -->\n\nText.\n")
         assert text.count("; version ") == 1
         path.write_text(text.replace(figure, "5.55"), encoding="utf-8")  # an edit by hand
-        (edited,) = check.all_blocks(tmp_path)
+        (edited,) = pages.all_blocks(tmp_path)
         assert edited.checksum != edited.below["sum"]
         path.write_text(text, encoding="utf-8")
-    check.show_list(check.all_blocks(tmp_path))
+    check.show_list(pages.all_blocks(tmp_path))
     assert capsys.readouterr().out.endswith("; measured at 0.2.0, commit 0123abc, 2027-01-01\n")
 
 
@@ -189,13 +189,13 @@ def test_kept_outputs_are_not_measured_again(monkeypatch, tmp_path):
     [("70 000", "69,500", True), ("4e-16", "4.4e-16", True), ("4e-16", "6e-16", False), ("0.0", "0.04", True)],
 )
 def test_numbers(stated, measured, same):
-    assert check.NUMBER.findall(stated) == [stated]
+    assert pages.NUMBER.findall(stated) == [stated]
     assert check.agree(stated, measured, 0.02) is same
 
 
 def test_every_block_of_the_measurements_says_how_and_when_and_is_as_it_was_written():
     """A figure that was edited by hand changes the checksum: `python studies/check.py --write` writes figures."""
-    blocks = check.all_blocks(ROOT)
+    blocks = pages.all_blocks(ROOT)
     assert len(blocks) > 50
     for block in blocks:
         if block.measurement is None:
@@ -216,14 +216,14 @@ def test_pages_for_users_leave_tables_of_figures_to_the_measurements(page):
     text = page.read_text(encoding="utf-8")
     assert "<!-- measured" not in text
     lines = text.splitlines()
-    for block in check.blocks_of(page.name, text):
+    for block in pages.blocks_of(page.name, text):
         above = [line for line in lines[: block.line - 1][-2:] if line.strip()]
         assert not block.of_figures or above[-1].startswith("<!-- no measurement: "), block.place
 
 
 def test_tables_made_by_hand_give_way_to_what_was_printed(monkeypatch, tmp_path):
-    monkeypatch.setattr(check, "ROOT", tmp_path)
-    path = tmp_path / check.MEASUREMENTS / "page.md"
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    path = tmp_path / pages.MEASUREMENTS / "page.md"
     path.parent.mkdir(parents=True)
     hand = PAGE.replace("skip: CPU s", "anywhere")
     other = PAGE.replace("folder.a 3 | skip: CPU s", "folder.b").replace("panda", "kuka")
@@ -234,8 +234,8 @@ def test_tables_made_by_hand_give_way_to_what_was_printed(monkeypatch, tmp_path)
         return ("ur10 7.1\npanda 2\n" if command.endswith("3") else PRINTED.replace("panda", "kuka")), "", at
 
     monkeypatch.setattr(check, "output_of", printed)
-    check.check(check.all_blocks(tmp_path), 1.0, writing=True)
-    blocks = check.all_blocks(tmp_path)
+    check.check(pages.all_blocks(tmp_path), 1.0, writing=True)
+    blocks = pages.all_blocks(tmp_path)
     assert [(block.heading[:1], block.measurement.anywhere) for block in blocks] == [((), False), (("arm",), False)]
     assert all(block.at == at and block.below["sum"] == block.checksum for block in blocks)
     text = path.read_text(encoding="utf-8")
@@ -246,7 +246,7 @@ def test_tables_made_by_hand_give_way_to_what_was_printed(monkeypatch, tmp_path)
 
 
 def test_printed_tables_become_blocks_of_their_own():
-    lines = check.new_blocks("python -m studies.folder.a", f"{PRINTED}\n{PRINTED}", "0.1.0, commit 5e5a60a, 2026-11-22")
-    blocks = list(check.blocks_of("page.md", "\n".join(lines)))
+    lines = pages.new_blocks("python -m studies.folder.a", f"{PRINTED}\n{PRINTED}", "0.1.0, commit 5e5a60a, 2026-11-22")
+    blocks = list(pages.blocks_of("page.md", "\n".join(lines)))
     assert [block.lines for block in blocks] == [2, 2]
     assert all(block.below["sum"] == block.checksum for block in blocks)
