@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from drivers.core.errors import DiskError, DynidError, DynidWarning, UsageError
+from drivers.core.errors import DiskError, DynidError, DynidWarning, ResultFileError, UsageError
 from drivers.core.files import held_lock
 
 RESULT_FILE = "result.json"
@@ -29,6 +29,9 @@ DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 GENERATION_KEY = "files"
 """Key of a result's JSON object: the SHA-256 of each file that was written with it."""
+
+OWN_HASH = "content"
+"""Among these, that of the object itself."""
 
 _UNFINISHED = ".unfinished-"
 _LARGEST_PAGE = 100_000_000  # bytes, far above any page that dynid writes
@@ -255,8 +258,33 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
 
 
 def with_hashes(text: str, others: Mapping[str, str]) -> str:
-    """The text of a JSON object with the SHA-256 of the files that are written with it, for `strange_files`."""
-    return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes_of(others)})[1:-1]},", 1)
+    """The text of a JSON object with its SHA-256 and those of the files written with it, for `strange_files`."""
+    if not text.startswith("{"):
+        return text
+    hashes = {OWN_HASH: content_hash(json.loads(text)), **hashes_of(others)}
+    return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)
+
+
+def content_hash(content: Mapping[str, object]) -> str:
+    """SHA-256 of a JSON object, however it is formatted, without the hashes in it."""
+    own = {key: value for key, value in content.items() if key != GENERATION_KEY}
+    return _hash(json.dumps(own, sort_keys=True).encode())
+
+
+def refuse_changed(path: Path, content: Mapping[str, object]) -> None:
+    """Refuse a JSON object whose numbers or words were changed after dynid wrote it; without its hash, it is taken.
+
+    Raises:
+        ResultFileError: it was changed.
+    """
+    hashes = content.get(GENERATION_KEY)
+    written = hashes.get(OWN_HASH) if isinstance(hashes, dict) else None
+    if written is not None and written != content_hash(content):
+        raise ResultFileError(
+            "was changed after dynid wrote it, so that its verdict may be another model's",
+            where=str(path),
+            hint=f"identify again; if the change is meant, delete the entry '{OWN_HASH}' of '{GENERATION_KEY}' in it",
+        )
 
 
 def hashes_of(texts: Mapping[str, str]) -> dict[str, str]:
@@ -280,6 +308,8 @@ def strange_files(path: Path, content: Mapping[str, object]) -> list[str]:
     hashes = content.get(GENERATION_KEY)
     strange = []
     for name, written in hashes.items() if isinstance(hashes, dict) else ():
+        if name == OWN_HASH:
+            continue
         file = path.with_name(Path(str(name)).name or "-")
         with suppress(OSError, ValueError):  # it was not copied along; a NUL in its name
             if file.is_file() and (file.stat().st_size > _LARGEST_PAGE or _hash(file.read_bytes()) != written):

@@ -14,6 +14,7 @@ from drivers.core.units import ZERO_CELSIUS
 from ident.identify.data_split import RunWindow
 from ident.identify.revalidate import stored_choices, used_share
 from ident.model.another_arm import check_arm
+from ident.result.graded import robots_of
 from ident.result.models.model import Model, TorquePart
 from ident.signals.joint_signals import JointSignals, joint_positions, joint_temperature, read_joint_signals
 from ident.signals.pipeline import prepare
@@ -73,7 +74,7 @@ def predict_recording(model: Model, robot_file: RobotFile, recording: Recording)
         ModelError: a parameter without a value acts on the motion.
         ResultFileError: the result holds no covariance.
     """
-    check_arm([recording], robot_file)
+    check_arm([recording], robot_file, robots_of(model.result.recordings))
     signals = _signals(recording, robot_file)
     model.require_temperature(signals.temperature, signals.label)
     choices = replace(stored_choices(model.result), keep_rest=True)

@@ -25,6 +25,7 @@ from ident.regression.observability import predictable_torques
 from ident.regression.options import REST_TOLERANCE
 from ident.regression.velocity_reversals import leave_out_rest
 from ident.result.delivered import DELIVERED_WORDS, HeldOutErrors, delivered_parameters
+from ident.result.graded import robots_of
 from ident.result.result_file import file_sha256, stored_model
 from ident.result.schema import RecordingUse, Result
 from ident.signals.options import PreprocessChoices
@@ -70,7 +71,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         DataError: the recording lacks what is needed.
     """
     stored_parts = stored_model(result)
-    check_arm([recording], stored_parts.robot_file)
+    check_arm([recording], stored_parts.robot_file, robots_of(result.recordings))
     model, base = stored_parts.model, stored_parts.base
     stored = {parameter.name: parameter for parameter in result.base_parameters}
     full = np.array([stored[name].value or 0.0 for name in base.names])

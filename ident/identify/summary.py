@@ -24,6 +24,7 @@ from ident.identify.data_split import RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
 from ident.identify.held_result import with_held_friction
 from ident.identify.identification import Identification, PreparedRun
+from ident.model.another_arm import robot_sha256
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -358,6 +359,7 @@ def provenance(recording: Recording, joint_names: Sequence[str]) -> dict[str, An
     absolute = EPOCH_OF_2000 <= first <= datetime.now(UTC).timestamp()
     return {
         "sha256": recording_sha256(recording),
+        "robot_sha256": robot_sha256(recording),
         "started": datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds") if absolute else recording.created,
         "serial": serial_number(recording),
         "temperature": [] if kelvin is None else [float(mean) for mean in kelvin.mean(axis=0) - ZERO_CELSIUS],

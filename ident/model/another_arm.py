@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import hashlib
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from ident.model.dynamic_model import build_model
 
 SAME_PLACE = 1e-4
 """Difference of two arms' joint frames [m, rad] that calibration does not make."""
+
+SAME_GRAVITY = 0.05
+"""Difference of gravity [m/s²] that no other mounting makes: 9.78 at the equator, 9.83 at the poles."""
 
 
 def another_arm(own: RobotFile, theirs: RobotFile) -> str:
@@ -34,20 +38,41 @@ def another_arm(own: RobotFile, theirs: RobotFile) -> str:
     return ""
 
 
-def check_arm(recordings: Iterable[Recording], robot_file: RobotFile) -> None:
-    """Refuse recordings of another arm than a robot file's; one of its name may have been corrected since.
+def robot_sha256(recording: Recording) -> str:
+    """SHA-256 of the robot file and the URDF in a recording, as hexadecimal digits."""
+    return hashlib.sha256(f"{recording.robot_text}\0{recording.urdf_text}".encode()).hexdigest()
+
+
+def check_arm(recordings: Iterable[Recording], robot_file: RobotFile, corrected: Collection[str] = ()) -> None:
+    """Refuse recordings of another arm than a robot file's, or of one that is mounted or coupled in another way.
+
+    Args:
+        recordings: any.
+        robot_file: of the arm.
+        corrected: `robot_sha256` of recordings whose robot files this one replaces: geometry may differ from theirs.
 
     Raises:
-        DataError: name, and joints or geometry, are another's.
+        DataError: joints, geometry, gravity or coupling are another's.
     """
     for recording in recordings:
         theirs = recording.robot() if recording.robot_text else robot_file
-        if theirs.robot.name != robot_file.robot.name and (said := another_arm(robot_file, theirs)):
+        known = theirs.robot.name == robot_file.robot.name and robot_sha256(recording) in corrected
+        if not known and (said := _difference(robot_file, theirs)):
             raise DataError(
                 said,
                 where=recording.label,
                 hint="recordings of one arm are needed; if they are, identify with --robot FILE",
             )
+
+
+def _difference(own: RobotFile, theirs: RobotFile) -> str:
+    """Return how their arm, or its mounting, differs from ours, in words; empty where nothing does."""
+    said, ours, other = another_arm(own, theirs), own.robot.model, theirs.robot.model
+    if not said and not np.allclose(ours.gravity, other.gravity, atol=SAME_GRAVITY):
+        said = f"has gravity {other.gravity}, not {ours.gravity}"
+    if not said and ours.coupling != other.coupling:
+        said = f"has motors of {theirs.robot.name} that are coupled otherwise than in {own.robot.name}"
+    return said
 
 
 def check_one_arm(recordings: Sequence[Recording]) -> None:
@@ -63,10 +88,8 @@ def check_one_arm(recordings: Sequence[Recording]) -> None:
             raise UsageError("the same file is given twice", where=recording.label)
         paths |= {recording.path} - {None}
         theirs = recording.robot()
-        difference = another_arm(own, theirs)
+        difference = _difference(own, theirs)
         if not difference and theirs.robot.name != own.robot.name:
             difference = f"is of {theirs.robot.name}, not of {own.robot.name}"
-        if not difference and theirs.robot.model.gravity != own.robot.model.gravity:
-            difference = f"has gravity {theirs.robot.model.gravity}, not {own.robot.model.gravity}"
         if difference:
             raise DataError(difference, where=recording.label, hint="recordings of one arm are needed")

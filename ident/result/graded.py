@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
@@ -16,8 +17,14 @@ class UsedRecording(Stored):
     sha256: str
     role: Literal["identification", "validation"]
     started: str = Field(default="", description="ISO 8601, UTC: its first stamp where that is absolute, else created")
+    robot_sha256: str = Field(default="", description="of the robot file and the URDF in the recording")
     serial: str = Field(default="", description="of the controller; empty where it does not say")
     temperature: list[Number] = Field(default=[], description="mean of each joint [°C]; empty without a reading")
+
+
+def robots_of(recordings: Sequence[UsedRecording]) -> set[str]:
+    """SHA-256 of the robot files in the recordings of an identification, which its own may correct."""
+    return {recording.robot_sha256 for recording in recordings if recording.role == "identification"} - {""}
 
 
 class Grade(Stored):

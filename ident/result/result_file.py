@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from daq.output_files import warn_of_strange_files
+from daq.output_files import refuse_changed, warn_of_strange_files
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
@@ -93,13 +93,16 @@ def read_content(path: Path) -> dict[str, Any]:
     """The object of a JSON file of some result; empty where the JSON is no object.
 
     Raises:
-        ResultFileError: no such file, or no JSON.
+        ResultFileError: no such file, no JSON, or changed since it was written.
     """
     try:
         content = parsed_json(read_text(path, RESULT_FILE, ResultFileError))
     except ValueError as error:
         raise ResultFileError(f"is not JSON: {error}", where=str(path)) from error
-    return content if isinstance(content, dict) else {}
+    if not isinstance(content, dict):
+        return {}
+    refuse_changed(path, content)
+    return content
 
 
 def check_kind(content: Mapping[str, Any], path: Path, kind: str, command: str) -> None:
@@ -178,6 +181,12 @@ def stored_model(result: Result) -> StoredModel:
     if load is not None and not all(0 <= column < len(INERTIAL) * len(model.joints) for column in load.columns):
         raise ResultFileError(
             "names columns that belong to no link", where="model_options.terms.load_torque", hint=AGAIN
+        )
+    if tuple(result.joints) != model.joint_names:
+        raise ResultFileError(
+            f"are not those of the robot file stored with them, {', '.join(model.joint_names)}",
+            where="joints",
+            hint=AGAIN,
         )
     experiments = tuple(
         stored.restored(model, f"experiments.{index}") for index, stored in enumerate(result.experiments)

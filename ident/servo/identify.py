@@ -24,7 +24,7 @@ from drivers.core.text import percent_text, rounded
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import provenance
 from ident.model.another_arm import check_arm
-from ident.result.graded import Grade
+from ident.result.graded import Grade, robots_of
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Surface, tool_point
 from ident.servo.fit import ServoFit, fit_servo
@@ -205,7 +205,7 @@ def revalidate_servo(
         UsageError, ModelError: the MJCF cannot be rolled out.
         DataError: a recording has no commands, or is of another arm.
     """
-    check_arm(recordings, robot_file)
+    check_arm(recordings, robot_file, robots_of(result.recordings))
     links = servo_links(robot_file)
     reference = None if model_file is None else read_model_file(model_file, result.joints)
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]

@@ -24,6 +24,7 @@ from ident.export.mujoco_reading import mujoco_installed
 from ident.model.another_arm import check_arm
 from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import rollout_figure, servo_page
+from ident.result.graded import robots_of
 from ident.result.models.model import result_path
 from ident.result.result_file import file_sha256
 from ident.servo.arm_rollout import roll_out_arm
@@ -280,7 +281,7 @@ class ServoModel(GradedResult):
         return ()
 
     def _motions(self, recording: Recording) -> list[ServoMotion]:
-        check_arm([recording], self._robot)
+        check_arm([recording], self._robot, robots_of(self.result.recordings))
         return read_motions(recording, self._robot)
 
     def _speeds(self) -> FloatArray:

@@ -32,6 +32,32 @@ def test_a_result_is_saved_and_read_back(result, tmp_path):
         np.testing.assert_array_equal(model.gravity(q), dynid.Model(result.result, kind).gravity(q))
 
 
+def test_a_result_that_was_changed_is_refused_by_all_that_read_it(result, tmp_path):
+    """Two joints, links or values exchanged by hand or by a script; another format of the same is none of it."""
+    result.save(tmp_path)
+    file = tmp_path / "result.json"
+    text = file.read_text(encoding="utf-8")
+    written = json.loads(text)
+    file.write_text(json.dumps(written, indent=5, sort_keys=True), encoding="utf-8")
+    assert dynid.load_result(tmp_path).verdict == result.verdict
+    first, second = written["joints"][:2]
+    swaps = [text.replace(f'"{first}"', "@").replace(f'"{second}"', f'"{first}"').replace("@", f'"{second}"')]
+    for key in ("joints", "base_parameters", "standard_parameters", "friction"):
+        changed = json.loads(text)
+        changed[key][0], changed[key][1] = changed[key][1], changed[key][0]
+        swaps.append(json.dumps(changed))
+    run = dynid.simulate("ur5e", duration=1.0, seed=1, rate=100.0)
+    readers = (dynid.load_model, dynid.load_result, lambda path: dynid.validate(path, run))
+    for swapped in swaps:
+        file.write_text(swapped, encoding="utf-8")
+        for read in readers:
+            with pytest.raises(dynid.ResultFileError, match="was changed after dynid wrote it"):
+                read(tmp_path)
+    other = result.result.model_copy(update={"joints": result.result.joints[::-1]})
+    with pytest.raises(dynid.ResultFileError, match="are not those of the robot file"):
+        dynid.validate(dynid.IdentificationResult(other), run)
+
+
 def test_parameters_that_a_result_lacks_are_refused_in_one_sentence(result, tmp_path):
     older = dynid.IdentificationResult(result.result.model_copy(update={"consistent": None}))
     older.save(tmp_path)

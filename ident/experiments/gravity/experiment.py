@@ -25,7 +25,7 @@ from ident.model.another_arm import check_arm
 from ident.model.base_parameters import BaseParameters, gravity_base, gravity_columns, gravity_rows, resting_model
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import LINK_SIZE
-from ident.result.graded import Grade
+from ident.result.graded import Grade, robots_of
 from ident.result.gravity import (
     GravityJoint,
     GravityParameter,
@@ -157,7 +157,7 @@ def revalidated(experiment: GravityExperiment, recordings: Sequence[Recording]) 
     values = np.array([parameter.value or 0.0 for parameter in result.gravity_parameters])
     errors = []
     for recording in recordings:
-        check_arm([recording], file)
+        check_arm([recording], file, robots_of(result.recordings))
         visits = find_visits(read_joint_signals(recording, file.robot), model, base).visits
         used = used_equations(visits, model)
         torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_line import stored
 from friction_experiment_arm import arm, experiment
 
 from daq.recording.recording import Recording
@@ -108,7 +109,7 @@ def test_what_does_not_belong_together_is_refused(folder, tmp_path):
     run = exciting(1, 30.0, 31.0)
     with pytest.raises(UsageError, match="exclude each other"):
         identify(run, friction="auto", friction_from=folder)
-    content = json.loads((folder / "friction.json").read_text(encoding="utf-8"))
+    content = stored(folder / "friction.json")
     for key, value, message in (
         ("robot", "ur5e", "the friction experiment is of ur5e"),
         ("joints", [{**content["joints"][0], "joint": "j3"}], "no joint of arm is called 'j3'"),

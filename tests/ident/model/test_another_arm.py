@@ -9,7 +9,7 @@ import pytest
 import dynid
 from daq.robot.loader import load_robot
 from drivers.core.errors import DataError
-from ident.model.another_arm import another_arm, check_arm, check_one_arm
+from ident.model.another_arm import another_arm, check_arm, check_one_arm, robot_sha256
 
 
 def test_another_arm_is_named() -> None:
@@ -27,7 +27,32 @@ def test_recordings_of_arms_with_equal_joint_names_are_told_apart() -> None:
     with pytest.raises(DataError, match="is of ur10e"):
         dynid.identify(small, validation=large)
     renamed = replace(large, robot_text=large.robot_text.replace("name: ur10e", "name: ur5e"))
-    check_arm([small, renamed, replace(large, robot_text="")], load_robot("ur5e"))
+    with pytest.raises(DataError, match="is placed differently"):
+        check_arm([small, renamed], load_robot("ur5e"))
+    check_arm([small, renamed, replace(large, robot_text="")], load_robot("ur5e"), {robot_sha256(renamed)})
+
+
+def test_a_robot_file_that_differs_is_refused_with_what_differs() -> None:
+    """The name alone makes no arm: order and names of joints, place, mounting and coupling of its motors count."""
+    run, file = dynid.simulate("ur5e", duration=0.5, seed=1, rate=100.0), load_robot("ur5e")
+    first, second = file.robot.joint_names[1:3]
+    swapped = run.robot_text.replace(first, "@").replace(second, first).replace("@", second)
+    other = {
+        swapped: "with joints",
+        run.robot_text.replace("[0, 0, -9.81]", "[0, 0.5, -9.79]"): "has gravity",
+        run.robot_text.replace(
+            "  mdh:", f"  coupling: {{{first}: {{{first}: 1, {second}: 0.5}}}}\n  mdh:"
+        ): "coupled otherwise",
+        run.robot_text.replace("d: -0.425", "d: -0.43"): "is placed differently",
+    }
+    assert len(other) == 4
+    assert run.robot_text not in other
+    for text, message in other.items():
+        with pytest.raises(DataError, match=message):
+            check_arm([replace(run, robot_text=text)], file)
+    payload = run.robot_text.replace("payload: 5", "payload: 6")
+    assert payload != run.robot_text
+    check_arm([replace(run, robot_text=payload)], file)
 
 
 def test_an_experiment_takes_recordings_of_one_arm_mounted_in_one_way() -> None:
