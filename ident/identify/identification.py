@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Friction
 from drivers.core.arrays import FloatArray
@@ -34,7 +35,7 @@ from ident.regression.observation_matrix import Reduction
 from ident.regression.options import REVERSAL_SHARE, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.regression.pruning import Pruned
 from ident.result.friction import FrictionStep
-from ident.result.schema import Presliding, PreslidingTravel
+from ident.result.schema import Essential, Presliding, PreslidingTravel
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
@@ -171,8 +172,11 @@ class FrictionFit:
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that an identification holds; `ident.identify.summary` turns it into a Result."""
+    """The samples, series and matrices of an identification, which no file holds; `summarise` gives its Result."""
 
+    # recordings, held_out_recordings: as given; without the latter, parts of the former were held out
+    recordings: tuple[Recording, ...]
+    held_out_recordings: tuple[Recording, ...]
     robot_file: RobotFile  # the robot it was done for
     model: DynamicModel  # the model
     experiment: Experiment  # joints that stood still, motors whose torques were used
@@ -190,11 +194,10 @@ class Identification:
     # fit_series, validation_series: torques of the full model
     fit_series: tuple[TorqueSeries, ...]
     validation_series: tuple[TorqueSeries, ...]
-    # fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out
+    # fit, validation: errors of the full model
     fit: Fit
     validation: Fit
-    essential_fit: Fit
-    essential_validation: Fit
+    essential: Essential  # model, with its errors
     validation_source: str  # what was held out, in words
     checks: tuple[Check, ...]  # that were raised
     friction: FrictionFit  # what was found of the friction before the regression

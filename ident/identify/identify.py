@@ -16,10 +16,10 @@ from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import recording_checks
-from ident.assessment.validation import fit_errors
+from ident.assessment.validation import Fit, fit_errors
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
-from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
+from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.robust.reweighting import without_rejected
 from ident.estimators.torque_estimator import reduce_torques
 from ident.friction.terms import NO_TERMS
@@ -51,7 +51,7 @@ from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
 from ident.regression.repeatability import with_repeatability
 from ident.regression.systematic_errors import with_systematic_errors
-from ident.result.schema import Presliding
+from ident.result.schema import Essential, Presliding
 
 __all__ = ["Progress", "apply_model_choices", "identify"]
 
@@ -166,17 +166,26 @@ def identify(  # noqa: PLR0915 — the steps, in their order
 
     progress("physical consistency")
     estimate = jackknifed_estimate(estimation.reduction, solution, corrected)
-    consistent = _consistent_fit(found_consistent(model, base, estimate, robot_file), kernel, prepared)
+    held_out = prepared.validation_runs
+    fresh = all(run.overlap == 0.0 for run in held_out)
+
+    def errors(parameters: FloatArray) -> tuple[Fit, Fit]:
+        """Errors of base parameters (b,) on the identification data and on those held out."""
+        fitted = _flat(compare_run(kernel, parameters, run) for run in runs)
+        return fit_errors(fitted), fit_errors(_flat(compare_run(kernel, parameters, run) for run in held_out), fresh)
+
+    found = found_consistent(model, base, estimate, robot_file)
+    consistent = None if found is None else ConsistentFit(found, *errors(found.base))
 
     progress("validation")
     fit_series = _flat(fit)
     if estimation.weights:
         weighted = zip(fit_series, estimation.weights, strict=True)
         fit_series = tuple(replace(part, weights=weights) for part, weights in weighted)
-    held_out = prepared.validation_runs
     validation_series = _flat(compare_run(kernel, solution.parameters, run) for run in held_out)
-    essential = pruned.solution.parameters
     identification = Identification(
+        recordings=tuple(recordings),
+        held_out_recordings=tuple(validation),
         robot_file=robot_file,
         model=model,
         experiment=experiment,
@@ -195,9 +204,8 @@ def identify(  # noqa: PLR0915 — the steps, in their order
         fit_series=fit_series,
         validation_series=validation_series,
         fit=fit_errors(fit_series),
-        validation=fit_errors(validation_series),
-        essential_fit=fit_errors(_flat(compare_run(kernel, essential, run) for run in runs)),
-        essential_validation=fit_errors(_flat(compare_run(kernel, essential, run) for run in held_out)),
+        validation=fit_errors(validation_series, fresh),
+        essential=Essential.of(base.names, pruned, *errors(pruned.solution.parameters)),
         validation_source=data.validation_source,
         checks=(),
         friction=replace(friction, model=model),
@@ -210,11 +218,11 @@ def identify(  # noqa: PLR0915 — the steps, in their order
         identification = replace(identification, presliding=_presliding(identification))
 
     progress("plausibility")
-    checks = identification_checks(identification, recordings)
+    checks = identification_checks(identification)
     refuse_denied(identification, checks)
 
     progress("simulation")
-    runs_held_out = held_out_runs(identification, validation)
+    runs_held_out = held_out_runs(identification)
     checks += [check for run in runs_held_out for check in run.errors.checks]
     return replace(identification, checks=tuple(dict.fromkeys(checks)), held_out=runs_held_out)
 
@@ -235,19 +243,6 @@ def _remaining_delay(prepared: PreparedData) -> float:
     return float(np.hypot(rest, search.std))
 
 
-def _consistent_fit(
-    parameters: ConsistentParameters | None, kernel: RegressorKernel, data: PreparedData
-) -> ConsistentFit | None:
-    """The physically consistent model with its errors; None where none was found."""
-    if parameters is None:
-        return None
-    return ConsistentFit(
-        parameters,
-        fit=fit_errors(_flat(compare_run(kernel, parameters.base, run) for run in data.runs)),
-        validation=fit_errors(_flat(compare_run(kernel, parameters.base, run) for run in data.validation_runs)),
-    )
-
-
 def _presliding(identification: Identification) -> Presliding:
     """The travels, and what they are worth near standstill on the held-out data."""
     found = identification
@@ -260,9 +255,10 @@ def _presliding(identification: Identification) -> Presliding:
     )
 
 
-def held_out_runs(identification: Identification, validation: Sequence[Recording]) -> tuple[HeldOutRun, ...]:
+def held_out_runs(identification: Identification) -> tuple[HeldOutRun, ...]:
     """The delivered model on each held-out recording, or on what was held out of the others."""
     found, several = identification, len(identification.validation_runs) > 1
+    validation = identification.held_out_recordings
     parameters = ParameterSets(
         robot=found.robot_file.robot,
         model=found.model,

@@ -15,11 +15,10 @@ from daq.recording.recording import Recording
 from daq.recording.serial_numbers import serial_number
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
-from drivers.core.software import software_versions
 from drivers.core.text import counted, percent_text
 from drivers.core.units import ZERO_CELSIUS, common_unit
 from ident.assessment.delay.delay import DelaySearch
-from ident.assessment.validation import LOW_SPEED, Fit
+from ident.assessment.validation import LOW_SPEED
 from ident.identify.data_split import RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
 from ident.identify.held_result import with_held_friction
@@ -40,7 +39,6 @@ from ident.result.schema import (
     BaseParameterResult,
     Convergence,
     DriveGainResult,
-    Essential,
     Excitation,
     JointEquations,
     ModelOptions,
@@ -58,23 +56,17 @@ EPOCH_OF_2000 = 946684800.0
 """[s] since 1970. Stamps from here to now are absolute times; others count from a start of their own."""
 
 
-def summarise(
-    identification: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]
-) -> Result:
+def summarise(identification: Identification) -> Result:
     """The Result of an identification."""
-    robot = identification.robot_file.robot
+    robot_file, robot = identification.robot_file, identification.robot_file.robot
     model, base, solution = identification.model, identification.base, identification.solution
     corrected, pruned = identification.corrected, identification.pruned
     factor = identification.reduction.stacked()[:, list(solution.active)]
-    lengths = np.linalg.norm(factor, axis=0)
-    held_out = validation or recordings  # without validation recordings, their last parts
+    recordings = identification.recordings
+    held_out = identification.held_out_recordings or recordings  # without validation recordings, their last parts
     used = [model.joint_names[motor] for motor in identification.experiment.torques]
-    result = Result(
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        robot=robot.name,
-        robot_file=identification.robot_file.text,
-        urdf=identification.robot_file.urdf_text or "",
-        joints=list(robot.joint_names),
+    result = Result.of(
+        robot_file,
         method=identification.choices.estimator.name,
         method_options=identification.choices.estimator.values,
         options=_options(identification),
@@ -117,7 +109,7 @@ def summarise(
         else consistent_model(
             model,
             base,
-            identification.robot_file,
+            robot_file,
             identification.consistent.parameters,
             identification.consistent.fit,
             identification.consistent.validation,
@@ -134,22 +126,10 @@ def summarise(
             },
         ),
         fit=identification.fit,
-        validation=_validation(identification, identification.validation),
+        validation=identification.validation,
         validation_source=identification.validation_source,
-        essential=Essential(
-            count=len(pruned.solution.active),
-            dropped=[base.names[i] for i in pruned.dropped],
-            stopped_by=pruned.stopped_by,
-            fit=identification.essential_fit,
-            validation=_validation(identification, identification.essential_validation),
-        ),
-        excitation=Excitation(
-            condition=solution.condition,
-            scaled_condition=solution.scaled_condition,
-            singular_values=np.linalg.svd(factor / lengths, compute_uv=False).tolist(),
-            unexcited=[base.names[i] for i in range(base.count) if i not in solution.active],
-        ),
-        condition=solution.condition,
+        essential=identification.essential,
+        excitation=Excitation.of(base.names, solution, factor),
         residuals=Residuals(
             **_plain(corrected),
             rows=solution.rows,
@@ -163,7 +143,6 @@ def summarise(
             *(_use(*pair, "identification", used) for pair in zip(identification.runs, recordings, strict=True)),
             *(_use(*pair, "validation", used) for pair in zip(identification.validation_runs, held_out, strict=True)),
         ],
-        versions=software_versions(),
         verdict=Verdict("not judged yet"),
         experiments=[ExperimentResult.of(model, identification.experiment)],
         estimate=EstimateResult.of(identification.estimate, base.names, model.joint_names),
@@ -175,12 +154,6 @@ def summarise(
     checks = [check for check in identification.checks if check not in of_runs]
     verdict = model_verdict(judged, checks, [run.errors for run in identification.held_out])
     return judged.model_copy(update={"verdict": verdict})
-
-
-def _validation(identification: Identification, figures: Fit) -> Fit:
-    """Errors of a validation, marked as held out or not."""
-    held_out = all(run.errors.held_out for run in identification.held_out)
-    return figures.model_copy(update={"held_out": held_out})
 
 
 def model_options(model: DynamicModel) -> ModelOptions:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.recording.recording import Recording
 from drivers.core.arrays import FloatArray
 from drivers.streams import UNITS
 from ident.identify.identification import Identification
@@ -39,9 +37,7 @@ class RecordedRuns:
     temperatures: tuple[TemperatureSeries, ...] = ()
 
 
-def recorded_runs(
-    identification: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]
-) -> RecordedRuns:
+def recorded_runs(identification: Identification) -> RecordedRuns:
     """Motion and temperatures of an identification."""
     motion = [
         MotionSegment(segment.time, segment.position, segment.velocity, held_out)
@@ -51,7 +47,7 @@ def recorded_runs(
     ]
     temperatures = [
         TemperatureSeries(f"{stream.name}/{quantity}", channel.columns, stream.time, channel.values)
-        for recording in (*recordings, *validation)
+        for recording in (*identification.recordings, *identification.held_out_recordings)
         for stream in recording.streams.values()
         for quantity, channel in stream.channels.items()
         if channel.unit == UNITS["temperature"]

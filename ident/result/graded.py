@@ -1,13 +1,43 @@
-"""What the results of whole models, of gravity and of servos share: the recordings, and a verdict in one grade."""
+"""What the results of whole models, of gravity and of servos share: arm, recordings, and a verdict in one grade."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from datetime import UTC, datetime
+from typing import Any, Literal, Self
 
 from pydantic import Field
 
+from daq.robot.loader import RobotFile
+from drivers.core.software import software_versions
 from ident.stored import Number, Stored
+
+
+class ModelResult(Stored):
+    """The outcome of an identification of a model."""
+
+    dynid_schema: Literal[1] = 1
+    kind: str
+    created: str
+    robot: str
+    robot_file: str
+    urdf: str
+    joints: list[str]
+    method: str
+    versions: dict[str, str]
+
+    @classmethod
+    def of(cls, robot_file: RobotFile, **figures: Any) -> Self:
+        """The result of an arm, made now, by this software."""
+        return cls(
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            robot=robot_file.robot.name,
+            robot_file=robot_file.text,
+            urdf=robot_file.urdf_text or "",
+            joints=list(robot_file.robot.joint_names),
+            versions=software_versions(),
+            **figures,
+        )
 
 
 class UsedRecording(Stored):

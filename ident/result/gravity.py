@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from ident.result.graded import Grade, UsedRecording
+from ident.result.graded import Grade, ModelResult, UsedRecording
 from ident.result.result_file import GRAVITY, checked, read_content
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.stored import Number, Stored, Value
@@ -72,16 +72,10 @@ class GravityRecording(UsedRecording):
     poses: int
 
 
-class GravityResult(Stored):
+class GravityResult(ModelResult):
     """The outcome of an identification of gravity."""
 
-    dynid_schema: Literal[1] = 1
     kind: Literal["gravity"] = "gravity"
-    created: str
-    robot: str
-    robot_file: str
-    urdf: str
-    joints: list[str]
     sliding: list[bool]
     method: Literal["gravity"] = "gravity"
     torque_origin: str
@@ -92,7 +86,6 @@ class GravityResult(Stored):
     silent: list[str] = Field(description="joints that gravity does not act on")
     validation: GravityValidation | None = None
     recordings: list[GravityRecording]
-    versions: dict[str, str]
     verdict: Grade = Field(description="for gravity compensation")
 
     @model_validator(mode="after")

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, computed_field, model_validator
 
 from daq.robot.section import within
+from drivers.core.arrays import FloatArray
 from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests
@@ -16,11 +18,13 @@ from ident.estimators.estimator import EstimationLoop
 from ident.friction.table import FURTHER_KINDS, SHAPES
 from ident.friction.terms import NO_TERMS, FrictionTerms
 from ident.ranges import PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING
+from ident.regression.least_squares import LeastSquares
+from ident.regression.pruning import Pruned
 from ident.result.consistent_model import ConsistentModel, LinkResult
 from ident.result.delivered import Delivered
 from ident.result.estimate import EstimateResult, ExperimentResult, Merge
 from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
-from ident.result.graded import UsedRecording
+from ident.result.graded import ModelResult, UsedRecording
 from ident.signals.prepared import Step
 from ident.stored import Number, Real, Stored
 from ident.verdict.acceptance import Acceptance
@@ -77,8 +81,19 @@ class Essential(Stored):
     count: int
     dropped: list[str]
     stopped_by: str
-    fit: Fit | None
-    validation: Fit | None
+    fit: Fit | None = None
+    validation: Fit | None = None
+
+    @classmethod
+    def of(cls, names: Sequence[str], pruned: Pruned, fit: Fit | None = None, validation: Fit | None = None) -> Self:
+        """The essential model of base parameters (b,) by their names."""
+        return cls(
+            count=len(pruned.solution.active),
+            dropped=[names[column] for column in pruned.dropped],
+            stopped_by=pruned.stopped_by,
+            fit=fit,
+            validation=validation,
+        )
 
 
 class Residuals(Stored):
@@ -104,6 +119,16 @@ class Excitation(Stored):
     scaled_condition: Number = Field(description="of W, column-normalised")
     singular_values: list[float] = Field(description="of the column-normalised W, falling")
     unexcited: list[str] = Field(description="base parameters that the recording does not excite")
+
+    @classmethod
+    def of(cls, names: Sequence[str], solution: LeastSquares, factor: FloatArray) -> Self:
+        """The excitation of base parameters (b,) by their names; a triangular factor (·, a) of the estimated ones."""
+        return cls(
+            condition=solution.condition,
+            scaled_condition=solution.scaled_condition,
+            singular_values=np.linalg.svd(factor / np.linalg.norm(factor, axis=0), compute_uv=False).tolist(),
+            unexcited=[name for column, name in enumerate(names) if column not in solution.active],
+        )
 
 
 class RecordingUse(UsedRecording):
@@ -223,17 +248,10 @@ _LISTS_OF_JOINTS = (
 )
 
 
-class Result(Stored):
+class Result(ModelResult):
     """The outcome of an identification."""
 
-    dynid_schema: Literal[1] = 1
     kind: Literal["result"] = "result"
-    created: str
-    robot: str
-    robot_file: str
-    urdf: str
-    joints: list[str]
-    method: str
     method_options: dict[str, float | int | str | bool | None] = Field(default={}, description="of the method")
     options: dict[str, float | int | str | bool | list[float] | None]
     model_options: ModelOptions
@@ -254,11 +272,9 @@ class Result(Stored):
     validation_source: str
     essential: Essential
     excitation: Excitation
-    condition: Number
     residuals: Residuals
     rank_margin: Number
     recordings: list[RecordingUse]
-    versions: dict[str, str]
     verdict: Verdict
     acceptance: Acceptance | None = Field(default=None, description="null where no limits were declared")
     experiments: list[ExperimentResult] = Field(default=[], description="empty: all joints moved, all torques used")
@@ -296,6 +312,12 @@ class Result(Stored):
     def unit(self, unit: str) -> str:
         """The unit of a column of all joints, given that of turning joints: "N·m or N" where some slide."""
         return common_unit(unit, self.sliding)
+
+    @computed_field(description="that of `excitation`")  # type: ignore[prop-decorator]
+    @property
+    def condition(self) -> float | None:
+        """Condition number of the observation matrix."""
+        return self.excitation.condition
 
     @computed_field(description="texts of the verdict's checks that spoil a purpose")  # type: ignore[prop-decorator]
     @property

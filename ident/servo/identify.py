@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +18,6 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
-from drivers.core.software import software_versions
 from drivers.core.text import percent_text, rounded
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import provenance
@@ -156,12 +154,8 @@ def identify_servo(
             "gains, load or mounting changed between them, identify each alone (dynid diff compares the models)"
         )
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
-    result = ServoResult(
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        robot=robot.name,
-        robot_file=file.text,
-        urdf=file.urdf_text or "",
-        joints=list(robot.joint_names),
+    result = ServoResult.of(
+        file,
         sliding=list(links.model.sliding),
         links=links.origin,
         resolution=steps.tolist(),
@@ -184,7 +178,6 @@ def identify_servo(
             *(_use(recording, file, "identification", kept) for recording, kept in zip(recordings, used, strict=True)),
             *(_use(recording, file, "validation", []) for recording in held_out),
         ],
-        versions=software_versions(),
         verdict=verdict(robot.joint_names, joints, validation, steps, contact, doubts),
     )
     return ServoIdentification(result, judged, paths)

@@ -12,7 +12,7 @@ from pydantic import Field
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError, UsageError
 from ident.regression.hypothesis_tests import SignificanceTest
-from ident.result.graded import Grade, UsedRecording
+from ident.result.graded import Grade, ModelResult, UsedRecording
 from ident.result.result_file import SERVO, checked, read_content
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.servo.terms import INDEX, TERMS, to_search
@@ -97,16 +97,10 @@ class ServoRecording(UsedRecording):
     sample_hashes: list[int] = Field(default=[], description="the smallest hashes of its samples")
 
 
-class ServoResult(Stored):
+class ServoResult(ModelResult):
     """The outcome of an identification by commands and encoders."""
 
-    dynid_schema: Literal[1] = 1
     kind: Literal["servo"] = "servo"
-    created: str
-    robot: str
-    robot_file: str
-    urdf: str
-    joints: list[str]
     sliding: list[bool]
     method: Literal["servo"] = "servo"
     links: str = Field(description="source of the links' masses")
@@ -125,7 +119,6 @@ class ServoResult(Stored):
     validation: RolloutFit | None
     validation_source: str
     recordings: list[ServoRecording]
-    versions: dict[str, str]
     verdict: Grade = Field(description="for simulation")
 
     @property

@@ -212,10 +212,10 @@ def identify(options: IdentifyOptions) -> IdentificationResult:
     if limits is not None and recordings:
         check_joints(limits, (robot_file or recordings[0].robot()).robot.joint_names)
     identification = identify_recordings(recordings, held_out, choices, robot_file, options.progress)
-    result = summarise(identification, recordings, held_out)
+    result = summarise(identification)
     if limits is not None:
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
-    recorded = recorded_runs(identification, recordings, held_out)
+    recorded = recorded_runs(identification)
     held_out_series = [all_sample for run in identification.held_out for all_sample in run.all_samples]
     return IdentificationResult(result, identification.fit_series, held_out_series, recorded)
 

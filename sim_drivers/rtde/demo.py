@@ -135,7 +135,7 @@ def run_demo(
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
     identification = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)
-    result = summarise(identification, recordings[0], recordings[1])
+    result = summarise(identification)
     write_result_folder(
         folder,
         ReportData(
@@ -143,7 +143,7 @@ def run_demo(
             identification.fit_series,
             identification.validation_series,
             TruthTable(names=base.names, values=truth),
-            recorded_runs(identification, recordings[0], recordings[1]),
+            recorded_runs(identification),
         ),
         overwrite=True,  # what exists was asked for before anything was computed
     )

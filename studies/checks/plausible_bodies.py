@@ -50,7 +50,7 @@ OF_BODIES = ("implausible-mass", "implausible-link", "implausible-centre", "know
 def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     """One row of the table."""
     found = identify([recording], [], choices)
-    result = summarise(found, [recording], [])
+    result = summarise(found)
     if found.consistent is None or result.consistent is None:
         return f"| {name} | none found | | | | | | | | |"
     model, consistent = Model(result), found.consistent.parameters

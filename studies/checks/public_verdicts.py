@@ -41,7 +41,7 @@ def main() -> None:
         model = replace(choices.model, friction=None)
         found = identify([recording], [], replace(choices, model=model))
         plain = replace(choices, model=ModelChoices(friction="coulomb-viscous"), presliding=False)
-        result = summarise(found, [recording], [])
+        result = summarise(found)
         simulated = result.delivered.runs[0]
         soft = "–" if simulated.simulation is None else simulated.simulation.position_rmse
         soft = soft if isinstance(soft, str) else " ".join(f"{1e3 * error:.2g}" for error in soft)

@@ -23,7 +23,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
-from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
@@ -76,23 +75,23 @@ def another_arm(name: str, seed: int) -> RobotFile:
     return parse_robot(yaml.safe_dump(robot), where=name, folder=None, urdf_text=known.urdf_text)
 
 
-def identified(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[Identification, Recording]:
+def identified(arm: RobotFile, method: str, play: Play, seed: int) -> Identification:
     """The arm's model with the friction that it has, from the first part of the motion."""
     choices = IdentifyChoices(method, model=ModelChoices(friction="coulomb-viscous"))
     if play == "points":
         motion = random_points_motion(arm.robot, seed, MOVES)
         recording = simulate_recording(arm, motion, motion.duration, seed)
-        return identify([recording], [], choices), recording
+        return identify([recording], [], choices)
     periodic = random_fourier_motion(build_model(arm), DURATION, seed=seed, candidates=10)
     recording = simulate_recording(arm, periodic, DURATION + HELD_OUT, seed=seed)
-    return identify([recording], [], replace(choices, split=DURATION)), recording
+    return identify([recording], [], replace(choices, split=DURATION))
 
 
 def deviations(robot: str, method: str, play: Play, seed: int) -> tuple[list[FloatArray], float]:
     """Errors over standard deviations, an array for each of `COLUMNS`, and the ratio `wide`."""
     arm = another_arm(robot, seed)
-    found, recording = identified(arm, method, play, seed)
-    result = summarise(found, [recording], [])
+    found = identified(arm, method, play, seed)
+    result = summarise(found)
     truth = dict(zip(found.base.names, found.base.projection @ truth_vector(arm), strict=True))
     table = [
         (entry.value, entry.std, entry.classical_std, truth[entry.name])

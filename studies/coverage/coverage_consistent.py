@@ -45,7 +45,7 @@ NARROWED = 0.9
 def deviations(robot: str, seed: int) -> tuple[list[FloatArray], FloatArray]:
     """Errors over standard deviations for each of `COLUMNS`; errors of what the prior decides, in its units."""
     arm = another_arm(robot, seed)
-    found, recording = identified(arm, "wls", "periodic", seed)
+    found = identified(arm, "wls", "periodic", seed)
     if found.consistent is None:
         raise RuntimeError(f"no consistent model of {robot}, seed {seed}")
     consistent, truth = found.consistent.parameters, truth_vector(arm)
@@ -66,7 +66,7 @@ def deviations(robot: str, seed: int) -> tuple[list[FloatArray], FloatArray]:
     torque = model_torque(found.model, None, truth, samples[0].T, samples[1].T, samples[2].T).T
     if not found.model.transmission.direct:  # `Model.torque` is at the joints
         torque = torque @ found.model.transmission.coupling
-    model = Model(summarise(found, [recording], []), "consistent")
+    model = Model(summarise(found), "consistent")
     return [
         (found.solution.parameters[active] - base_truth) / std,
         error,

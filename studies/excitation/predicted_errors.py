@@ -52,7 +52,7 @@ def earlier_result(robot_file: RobotFile, recording: Recording) -> PriorKnowledg
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
         result = identify([recording], [], CHOICES, robot_file=robot_file)
-        path.write_text(result_json(summarise(result, [recording], [])))
+        path.write_text(result_json(summarise(result)))
         return find_prior(robot_file, path)
 
 

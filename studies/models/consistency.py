@@ -71,7 +71,7 @@ def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     consistent = identified.consistent
     if consistent is None:
         return f"| {name} | {100 * identified.validation.relative_error:.2f} | none found | | | | |"
-    p_value = summarise(identified, [recording], []).consistent.p_value  # type: ignore[union-attr]
+    p_value = summarise(identified).consistent.p_value  # type: ignore[union-attr]
     links = ", ".join(identified.model.link_names[link] for link in consistent.parameters.boundary) or "none"
     return (
         f"| {name} | {100 * identified.validation.relative_error:.2f} | "

@@ -43,7 +43,7 @@ def main() -> None:
     for name, bandwidth in ARMS.items():
         recording, choices = public(data, name)
         found = identify([recording], [], replace(choices, model=replace(choices.model, friction=None)))
-        model = Model(summarise(found, [recording], []))
+        model = Model(summarise(found))
         samples = joint_samples(model, recording)
         cut = int(np.searchsorted(samples.time, samples.time[0] + LEARNT * (samples.time[-1] - samples.time[0])))
         known, rest = rows(samples, slice(0, cut)), rows(samples, slice(cut, None))

@@ -157,7 +157,7 @@ def print_table(table: Table) -> None:
         print(
             f"{label}: {len(fit.pruned.solution.active)} of {fit.base.count} parameters essential; relative error "
             f"{100 * fit.fit.relative_error:.2f} %, on another motion {100 * fit.validation.relative_error:.2f} %, "
-            f"essential model {100 * fit.essential_validation.relative_error:.2f} %"
+            f"essential model {100 * fit.essential.validation.relative_error:.2f} %"
         )
     for label, fit, truth, std in (
         ("free", free, table.truth, table.std), ("loaded", loaded, table.loaded_truth, table.loaded_std),

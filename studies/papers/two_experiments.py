@@ -84,7 +84,7 @@ def recorded(robot_file: RobotFile, seed: int, moves: int, moving: tuple[str, ..
 def result_of(recording: Recording, torques_of: tuple[str, ...] = (), method: str = "wls") -> Result:
     experiment = ExperimentChoices(torques_of=torques_of)
     choices = IdentifyChoices(method, experiment=experiment, search_delay=False, reversals=0.0)
-    return summarise(identify([recording], [], choices), [recording], [])
+    return summarise(identify([recording], [], choices))
 
 
 def figures(result: Result) -> tuple[list[float], list[float]]:

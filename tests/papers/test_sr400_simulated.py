@@ -35,7 +35,7 @@ def test_the_loaded_parameters_are_the_free_ones_plus_the_load(
         assert 100 * loaded.std[column] < 15 * abs(loaded.solution.parameters[column]), name
         assert column in loaded.pruned.solution.active, name
     for found in (free, loaded):
-        assert found.essential_validation.relative_error < 0.06
+        assert found.essential.validation.relative_error < 0.06
     out = capsys.readouterr().out
     assert "ZZR1" in out
     assert "on another motion" in out

@@ -170,7 +170,7 @@ class Bench:
     def result(self, recording: Recording, **experiment: tuple[str, ...]) -> Result:
         """What `identify` writes."""
         choices = IdentifyChoices(search_delay=False, presliding=False, experiment=ExperimentChoices(**experiment))
-        return summarise(identify([recording], [], choices), [recording], [])
+        return summarise(identify([recording], [], choices))
 
     def merged(self, *results: Result, held_out: Recording | None = None) -> Names:
         """Checks of a merge."""

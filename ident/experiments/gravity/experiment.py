@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
@@ -14,7 +13,6 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, UsageError
 from drivers.core.reading_process import Progress
-from drivers.core.software import software_versions
 from drivers.core.text import percent_text
 from ident.assessment.recording_checks import recording_checks
 from ident.experiments.gravity.fit import GravityFit, fit_gravity, used_equations
@@ -111,12 +109,8 @@ def analyse_gravity(
     ]
     inertial = gravity_columns(base)
     weighing = gravity_rows(model, base, np.array([visit.pose for visit in visits]))[:, :, inertial]
-    result = GravityResult(
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        robot=file.robot.name,
-        robot_file=file.text,
-        urdf=file.urdf_text or "",
-        joints=list(model.joint_names),
+    result = GravityResult.of(
+        file,
         sliding=list(model.sliding),
         torque_origin=signals[0].torque_origin,
         gravity_parameters=_parameters(model, base, fit),
@@ -135,7 +129,6 @@ def analyse_gravity(
             ),
             *(_use(recording, "validation", 0) for recording in held_out),
         ],
-        versions=software_versions(),
         verdict=gravity_verdict(
             of_joints, _errors(of_joints), len(set(fit.group.tolist())), concerns, "left out one by one"
         ),

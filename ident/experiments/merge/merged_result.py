@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 
 from daq.recording.recording import Recording
 from drivers.core.arrays import FloatArray
-from drivers.core.software import software_versions
 from drivers.core.text import counted, percent_text
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.plausibility import indefinite_share, sign_checks
@@ -139,7 +137,6 @@ def _result(
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
     consistency = _consistency(inputs, merged)
     checks = _checks(model, base, inputs, merged, std, unexcited, consistency)
-    singular = np.linalg.svd(merged.root / np.linalg.norm(merged.root, axis=0), compute_uv=False)
     estimate = Estimate(
         active=solution.active,
         values=solution.parameters[list(solution.active)],
@@ -154,12 +151,8 @@ def _result(
     consistent = found_consistent(model, base, estimate, robot_file)
     values, moves = (solution.parameters, None) if consistent is None else (consistent.base, consistent.base_moves)
     checks += extrapolation_checks(model, base, values, within, solution.active, moves)
-    result = Result(
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        robot=first.robot,
-        robot_file=first.robot_file,
-        urdf=first.urdf,
-        joints=first.joints,
+    result = Result.of(
+        robot_file,
         method=f"merge of {' and '.join(source.result.method for source in inputs)}",
         options={
             **first.options,
@@ -187,24 +180,11 @@ def _result(
         fit=None,
         validation=None,
         validation_source="",
-        essential=Essential(
-            count=len(pruned.solution.active),
-            dropped=[base.names[i] for i in pruned.dropped],
-            stopped_by=pruned.stopped_by,
-            fit=None,
-            validation=None,
-        ),
-        excitation=Excitation(
-            condition=solution.condition,
-            scaled_condition=solution.scaled_condition,
-            singular_values=singular.tolist(),
-            unexcited=unexcited,
-        ),
-        condition=solution.condition,
+        essential=Essential.of(base.names, pruned),
+        excitation=Excitation.of(base.names, solution, merged.root),
         residuals=residuals,
         rank_margin=base.margin,
         recordings=[use for source in inputs for use in used_recordings(source.result)],
-        versions=software_versions(),
         verdict=Verdict("not judged yet", checks=tuple(checks)),
         delivered=Delivered(parameters=delivered_parameters(consistent)),
         experiments=[

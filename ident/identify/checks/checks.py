@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.recording.recording import Recording
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.assessment.delay.delay import delay_checks
@@ -60,12 +59,12 @@ MODEL_ERRORS = (
 """Checks of single numbers of the robot file."""
 
 
-def identification_checks(identification: Identification, recordings: Sequence[Recording]) -> list[Check]:
+def identification_checks(identification: Identification) -> list[Check]:
     """All checks that the recordings and the identification raise."""
-    several = len(recordings) > 1
+    several = len(identification.recordings) > 1
     checks = [
         check
-        for recording in recordings
+        for recording in identification.recordings
         for check in recording_checks(recording, label=recording.label if several else "")
     ]
     # Data of another unit, or filled with zeros, fit other explanations by accident.

@@ -197,9 +197,9 @@ def test_the_truth_is_within_the_error_bars(three_joint, repeated, method):
 def test_the_truth_is_within_the_error_bars_of_the_essential_model(three_joint, repeated, method):
     """The submodel's own deviations hold it less often: they know nothing of the selection."""
     held, by_submodel = [], []
-    for recording, found in repeated(method):
+    for _, found in repeated(method):
         truth = dict(zip(found.base.names, truth_of(three_joint), strict=True))
-        for entry in summarise(found, [recording], []).base_parameters:
+        for entry in summarise(found).base_parameters:
             if entry.essential_value is None:
                 continue
             column = found.base.names.index(entry.name)
@@ -271,7 +271,7 @@ def test_a_repeated_motion_is_no_new_evidence(three_joint):
 def test_result_is_complete_and_validates_again(three_joint, method, tmp_path):
     recording = recorded(three_joint, 1)
     found = identify([recording], [], IdentifyChoices(method=method, search_delay=False))
-    result = summarise(found, [recording], [])
+    result = summarise(found)
     assert result.method == method
     assert len(result.residuals.joint_std) == len(result.residuals.autocorrelation) == 3
     assert result.residuals.joint_std == pytest.approx(result.fit.rmse)

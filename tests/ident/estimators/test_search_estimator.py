@@ -51,7 +51,7 @@ def test_a_long_search_in_a_small_box_is_least_squares(found, method: str, exact
 
 def test_what_the_search_found_is_in_the_result(found, recording) -> None:
     identification = found("wls-pso:generations=3")
-    result = summarise(identification, [recording], [])
+    result = summarise(identification)
     (step,) = [step for step in result.preprocessing if step.name == "search"]
     optimum = identification.estimation.optimum
     distance = np.abs(identification.solution.parameters - optimum.parameters) / optimum.std
@@ -69,7 +69,7 @@ def test_what_the_search_found_is_in_the_result(found, recording) -> None:
 
 
 def test_frogs_report_what_is_identifiable(found, recording) -> None:
-    result = summarise(found("sfla:random=coordinate:generations=100"), [recording], [])
+    result = summarise(found("sfla:random=coordinate:generations=100"))
     assert result.fit.relative_error < 0.2
     (step,) = [step for step in result.preprocessing if step.name == "physical parameters"]
     # Link 1 turns about a vertical axis: its mass only adds to the inertia.
@@ -82,7 +82,7 @@ def test_frogs_report_what_is_identifiable(found, recording) -> None:
 def test_penalised_frogs_end_at_links_that_can_exist(found, recording) -> None:
     least = {}
     for option in ("", ":feasible=true"):
-        result = summarise(found(f"sfla:random=coordinate:generations=100{option}"), [recording], [])
+        result = summarise(found(f"sfla:random=coordinate:generations=100{option}"))
         (step,) = [step for step in result.preprocessing if step.name == "physical parameters"]
         spreads = []
         for link in (2, 3):

@@ -28,7 +28,7 @@ def identification(three_joint) -> tuple[Identification, Result]:
     motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
     recordings = [simulate_recording(three_joint, motion, 20.0, seed=4)]
     found = identify(recordings, [], IdentifyChoices())
-    return found, summarise(found, recordings, [])
+    return found, summarise(found)
 
 
 def written(folder: Path, result: Result) -> Path:
@@ -96,7 +96,7 @@ def test_other_base_parameters_are_refused(three_joint, tmp_path, identification
     motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
     recordings = [simulate_recording(three_joint, motion, 12.0, seed=4)]
     choices = IdentifyChoices(model=ModelChoices(friction="viscous"))
-    plain = summarise(identify(recordings, [], choices), recordings, [])
+    plain = summarise(identify(recordings, [], choices))
     with pytest.raises(UsageError, match="other base parameters"):
         find_prior(three_joint, written(tmp_path, plain))
 

@@ -35,13 +35,13 @@ def test_it_is_what_other_gains_do(three_joint, recording):
         changed = identify([recording], [], choices, other)
         moves.append(share * (changed.solution.parameters - found.solution.parameters) / step)
     expected = np.maximum(np.linalg.norm(moves, axis=0), np.abs(np.sum(moves, axis=0)))
-    result = summarise(found, [recording], [])
+    result = summarise(found)
     stated = np.array([parameter.gain_std for parameter in result.base_parameters])
     assert stated == pytest.approx(expected, rel=0.02, abs=1e-3 * expected.max())
 
 
 def test_a_method_without_equations_of_joints_has_none(recording):
-    result = summarise(identify([recording], [], IdentifyChoices("energy", search_delay=False)), [recording], [])
+    result = summarise(identify([recording], [], IdentifyChoices("energy", search_delay=False)))
     assert {parameter.gain_std for parameter in result.base_parameters} == {None}
 
 

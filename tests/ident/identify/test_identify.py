@@ -244,7 +244,7 @@ def test_a_joint_that_is_later_than_the_others_gets_its_own_delay_in_the_result_
     first, second, third = found.choices.preprocess.joint_delays
     assert second == pytest.approx(0.020, abs=1.5e-3)
     assert max(abs(first), abs(third)) < 3e-3
-    result = Result.model_validate_json(summarise(found, [late], []).model_dump_json())
+    result = Result.model_validate_json(summarise(found).model_dump_json())
     assert [joint.used for joint in result.delay.joints] == [first, second, third]
     assert result.options["joint_delays"] == [first, second, third]
     assert stored_choices(result).joint_delays == (first, second, third)

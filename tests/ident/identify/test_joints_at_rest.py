@@ -45,7 +45,7 @@ def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joi
     found = identify([recording], [], said)
     assert found.experiment.locked == (1,)
     assert found.validation.relative_error < 0.05
-    result = summarise(found, [recording], [])
+    result = summarise(found)
     (step,) = [step for step in result.preprocessing if step.name == "experiment"]
     assert "rest tolerance of 0.005" in step.text
     assert revalidate(result, recording).full.rmse[1] is None

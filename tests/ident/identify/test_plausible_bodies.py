@@ -96,7 +96,7 @@ def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -
     rates = friction_rates(identification.model, range(len(parameters.values)), parameters.values)
     assert np.all(inertia.min(axis=0) > 0.5 * COASTING * rates)
     assert np.all((armature_vector(identification.model, parameters.armatures) > 0) == light)
-    result = summarise(identification, [recording(seed, light)], [])
+    result = summarise(identification)
     run = result.delivered.runs[0]
     assert run.simulation is not None
     assert max(run.simulation.position_rmse) < 0.05
@@ -109,7 +109,7 @@ def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -
 def test_an_explicit_integrator_with_steps_of_1_ms_is_stable(seed: int, light: bool) -> None:
     """Semi-implicit Euler, friction explicit: released at rest, no joint gains more speed than gravity gives it."""
     identification = found(seed, light)
-    model = Model(summarise(identification, [recording(seed, light)], []))
+    model = Model(summarise(identification))
     q, dq = np.zeros(identification.model.dof), np.zeros(identification.model.dof)
     energy = []
     for _ in range(300):
@@ -128,7 +128,7 @@ def test_the_motor_behind_a_sensor_moves_in_simulation_and_in_no_torque() -> Non
         drive["armature"] = 0.7
     given = parse_robot(yaml.safe_dump(content), where="given", folder=None)
     stated = identify([recording(0, True)], [], QUICK, given)
-    assumed, fixed = (Model(summarise(one, [recording(0, True)], [])) for one in (identification, stated))
+    assumed, fixed = (Model(summarise(model)) for model in (identification, stated))
     assert np.all(fixed.armature == 0.7)
     assert {one.source for one in fixed.result.consistent.armature} == {"robot file"}  # type: ignore[union-attr]
     assert {one.source for one in assumed.result.consistent.armature} == {"assumed"}  # type: ignore[union-attr]

@@ -49,19 +49,19 @@ CHOICES = {
 @pytest.mark.parametrize("name", CHOICES)
 def test_a_stored_result_repeats_the_validation(recordings, name, tmp_path):
     found = identify(recordings[:1], recordings[1:], CHOICES[name])
-    (tmp_path / "result.json").write_text(result_json(summarise(found, recordings[:1], recordings[1:])))
+    (tmp_path / "result.json").write_text(result_json(summarise(found)))
     again = revalidate(read_result(tmp_path / "result.json"), recordings[1])
     assert again.full.samples == found.validation.samples
     assert again.full.relative_error == pytest.approx(found.validation.relative_error, rel=1e-9)
     assert np.allclose(again.full.rmse, found.validation.rmse, rtol=1e-9)
-    assert again.essential.relative_error == pytest.approx(found.essential_validation.relative_error, rel=1e-9)
+    assert again.essential.relative_error == pytest.approx(found.essential.validation.relative_error, rel=1e-9)
     assert len(again.series) == len(found.validation_series)
 
 
 @pytest.fixture(scope="module")
 def result(recordings):
     found = identify(recordings[:1], recordings[1:], IdentifyChoices())
-    return summarise(found, recordings[:1], recordings[1:])
+    return summarise(found)
 
 
 def tampered(result, change):

@@ -76,7 +76,7 @@ def test_an_identification_of_several_runs_states_the_repeatability():
     ]
     choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
     found = identify(runs, [held_out], choices)
-    result = summarise(found, runs, [held_out])
+    result = summarise(found)
     truth = found.base.projection @ truth_vector(nominal, found.model)
     for place, parameter in enumerate(result.base_parameters):
         assert parameter.value is not None

@@ -38,7 +38,7 @@ def identified(three_joint, tmp_path_factory):
     write_recording(path, recording)
     recording = read_recording(path)
     found = identify([recording], [], IdentifyChoices())
-    return recording, found, summarise(found, [recording], [])
+    return recording, found, summarise(found)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_free_exponents_leave_the_torque_as_certain_as_it_is(three_joint):
     for term in ("", "+power"):
         model = ModelChoices(friction=f"coulomb-viscous{term}")
         found = identify([recording], [], IdentifyChoices(search_delay=False, presliding=False, model=model))
-        result = summarise(found, [recording], [])
+        result = summarise(found)
         for kind in ("full", "consistent"):
             deviations[term, kind] = np.mean(Model(result, kind).torque_std(q, 0.3 + 0.0 * q, 0.0 * q), axis=0)
     for kind in ("full", "consistent"):
@@ -92,10 +92,10 @@ def test_the_names_of_the_design_are_there(content):
 
 
 def test_gains_that_are_not_used_are_not_listed(identified):
-    recording, found, _ = identified
+    _, found, _ = identified
     signals = replace(found.runs[0].signals, gains_used=("j1", "j3"))
     without = replace(found, runs=tuple(replace(run, signals=signals, torques=(0, 1)) for run in found.runs))
-    assert [gain.joint for gain in summarise(without, [recording], []).drive_gains] == ["j1"]
+    assert [gain.joint for gain in summarise(without).drive_gains] == ["j1"]
 
 
 def test_numbers_are_those_of_the_identification(identified, content):
@@ -153,7 +153,7 @@ def test_events_of_the_recording_are_handed_on(identified):
 
     recording, found, _ = identified
     noted = replace(recording, events=(Event(1.0, "warning", "importer", "two samples were repaired"),))
-    use = summarise(found, [noted], []).recordings[0]
+    use = summarise(replace(found, recordings=(noted,))).recordings[0]
     assert use.events == ["warning: two samples were repaired"]
 
 
@@ -206,7 +206,9 @@ def test_a_newer_schema_is_refused(tmp_path, content, schema):
 @given(data=st.data())
 def test_missing_keys_and_wrong_types_are_named(tmp_path_factory, content, data):
     broken = json.loads(json.dumps(content))
-    optional = {name for name, field in Result.model_fields.items() if not field.is_required()} | {"warnings"}
+    optional = {name for name, field in Result.model_fields.items() if not field.is_required()} | set(
+        Result.model_computed_fields
+    )
     key = data.draw(st.sampled_from(sorted(set(broken) - optional)))
     wrong = data.draw(st.sampled_from(["missing", "list", "object"]))
     if wrong == "missing":

@@ -60,7 +60,7 @@ def test_the_motion_is_taken_out_of_its_approach(approached):
     assert found.validation.relative_error < 0.05
     (window,) = [step for step in found.runs[0].prepared.steps if step.name == "window"]
     assert "without the approach" in window.text
-    again = revalidate(summarise(found, [approached], []), approached)
+    again = revalidate(summarise(found), approached)
     assert again.full.rmse[1] is None
     assert again.full.relative_error < 0.05
 

@@ -105,7 +105,7 @@ def test_in_turn_comes_to_the_same(full, in_turn):
 
 
 def test_every_loop_is_in_the_result_and_on_the_page(faulty, full):
-    result = summarise(full, [faulty], [])
+    result = summarise(full)
     assert result.convergence is not None
     names = [loop.name for loop in result.convergence.loops]
     assert names[0].startswith("covariance")

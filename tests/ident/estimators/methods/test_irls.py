@@ -94,7 +94,7 @@ def test_faults_cost_little(three_joint, robust, weighted, clean, method):
 
 def test_the_result_counts_what_was_rejected_and_the_page_shows_it(robust, weighted, faulty):
     found = robust["irls"]
-    result = summarise(found, [faulty], [])
+    result = summarise(found)
     assert (result.method, result.method_options) == ("irls", {"weights": "hard", "consistent": False})
     assert result.convergence is not None
     weights = np.concatenate(found.estimation.weights, axis=1)
@@ -105,7 +105,7 @@ def test_the_result_counts_what_was_rejected_and_the_page_shows_it(robust, weigh
     assert 'id="convergence"' in page
     assert '"name":"rejected"' in page.replace(" ", "")
     ordinary = weighted["faulty"]
-    page = render_report(ReportData(summarise(ordinary, [faulty], []), ordinary.fit_series, ()))
+    page = render_report(ReportData(summarise(ordinary), ordinary.fit_series, ()))
     assert 'id="convergence"' not in page
 
 

@@ -67,7 +67,7 @@ def test_little_noise_leaves_every_method_near_the_truth(method, three_joint):
     assert all(loop.settled and loop.values for loop in found.estimation.loops)
     assert found.consistent is not None
     assert len(found.pruned.solution.active) > 10
-    result = summarise(found, [recorded(three_joint.text, 1, 1e-5)], [])
+    result = summarise(found)
     assert result.method == method.split(":")[0]
 
 

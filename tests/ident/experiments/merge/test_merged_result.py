@@ -61,7 +61,7 @@ def result_of(recording, *, locked=(), torques_of=(), robot_file=None, model=STA
         presliding=False,
         model=model,
     )
-    return summarise(identify([recording], [], choices, robot_file=robot_file), [recording], [])
+    return summarise(identify([recording], [], choices, robot_file=robot_file))
 
 
 @pytest.fixture(scope="module")

@@ -59,9 +59,8 @@ def found(recordings):
 
 
 @pytest.fixture(scope="module")
-def result(found, recordings):
-    (_, run), (_, other) = recordings
-    return Result.model_validate_json(result_json(summarise(found, [run], [other])))
+def result(found):
+    return Result.model_validate_json(result_json(summarise(found)))
 
 
 def test_true_travels_are_found_and_lower_the_held_out_error(found):

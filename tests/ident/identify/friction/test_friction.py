@@ -69,7 +69,7 @@ def full() -> tuple[RobotFile, Identification, Result]:
     robot_file = arm(**FULL)
     runs = [recorded(robot_file, 1)], [recorded(robot_file, 2)]
     found = identify(*runs, IdentifyChoices(search_delay=False, reversals=0.0))
-    return robot_file, found, summarise(found, *runs)
+    return robot_file, found, summarise(found)
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def chosen(found: Identification) -> list[tuple[str, str]]:
 def rippled() -> tuple[Identification, Result]:
     runs = [recorded(seed, seed, 0.8) for seed in (1, 2, 3)], [recorded(4, 4, 0.8)]
     found = identify(*runs, CHOICES)
-    return found, summarise(found, *runs)
+    return found, summarise(found)
 
 
 def test_three_motions_tell_what_repeats_over_a_turn(rippled):
