@@ -212,7 +212,7 @@ def test_what_the_file_states_is_plausible_or_named() -> None:
     assert all(f"prior.links.j1.{key} =" in large for key in ("mass", "com"))
     assert all(f"known.{key} =" in small for key in ("total_mass", "M1", "M4"))
     heavy = identify([recording(1, False)], [], QUICK, stating(M1=1e3 * true["M1"]))
-    result = summarise(heavy, [recording(1, False)], [])
+    result = summarise(heavy)
     assert "the robot file states: known.M1 =" in result.verdict.headline
     assert result.verdict.purposes["simulation"].grade != "good"
 
