@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, out_option, takes
 from daq.importers.choices import ImportChoices
 
 app = CommandApp("Record")
@@ -19,7 +19,7 @@ def import_recording(
     *,
     file: Path = typer.Argument(help="CSV, npz, mat, ROS 2 bag (folder or .db3), MCAP or LeRobot dataset (folder)."),
     robot: str = typer.Option(..., "--robot", help="Built-in robot or robot file."),
-    out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5); of a LeRobot dataset a folder."),
+    out: Path = out_option("Recording to write (.h5); of a LeRobot dataset a folder.", ...),
     options: ImportChoices,
     comment: str = typer.Option("", "--comment", help="Comment, kept in the recording."),
     force: bool = FORCE,

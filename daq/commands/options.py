@@ -55,6 +55,7 @@ FORCE = typer.Option(False, "--force", help="Overwrite files that exist.")
 JSON = typer.Option(False, "--json", help="Print one JSON object on standard output and nothing else.")
 ROBOT = typer.Argument(help="Built-in robot or robot file.", autocompletion=COMPLETIONS["robot"])
 REALTIME = typer.Option(False, "--realtime", help="Ask for real-time priority (Linux; needs permission).")
+NO_UI: bool = typer.Option(False, "--no-ui", help="No live status on stderr.")
 VERBOSE = typer.Option(False, "--verbose", "-v", help="Print everything that was computed, not only the outcome.")
 
 ROBOT_ARGUMENT = argument("robot", "Built-in robot or robot file.")
@@ -62,6 +63,29 @@ ROBOT_ARGUMENT = argument("robot", "Built-in robot or robot file.")
 
 _TYPES = {"bool": bool, "int": int, "float": float, "Path": Path}
 """Types of values that Typer reads; everything else is text."""
+
+
+def out_option(written: str, default: Any = None) -> Path:
+    """`-o`, `--out` of a command; what is written in words, with where it goes without the option; `...`: needed."""
+    path: Path = typer.Option(default, "-o", "--out", help=written)
+    return path
+
+
+def folder_option(file: str, default: Path | None = None) -> Path:
+    """`-o`, `--out` of a command that writes a file and its report."""
+    return out_option(f"Folder for {file} and report.html.", default)
+
+
+def page_option(written: str = "Page with plots to write (.html).", panel: str | None = None) -> Path:
+    """`--page` of a command."""
+    path: Path = typer.Option(None, "--page", help=written, rich_help_panel=panel)
+    return path
+
+
+def csv_option(written: str) -> Path:
+    """`--csv` of a command."""
+    path: Path = typer.Option(None, "--csv", help=written)
+    return path
 
 
 def host_option() -> str | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TextIO
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, REALTIME, ROBOT_ARGUMENT, host_option, takes
+from daq.commands.options import FORCE, JSON, NO_UI, REALTIME, ROBOT_ARGUMENT, host_option, takes
 from drivers.core.errors import MotionRefusedError, UsageError
 from drivers.core.options import Options, option, required
 from drivers.core.ranges import RECORDING_TIME
@@ -108,7 +108,7 @@ def record_command(
     force: bool = FORCE,
     realtime: bool = REALTIME,
     browser: bool = typer.Option(False, "--browser", help="Show the joints live on a web page of this computer."),
-    no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
+    no_ui: bool = NO_UI,
     as_json: bool = JSON,
 ) -> None:
     """Play a trajectory and record it, or record whatever moves the arm, or lead it by hand.

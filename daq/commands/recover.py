@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON
+from daq.commands.options import FORCE, JSON, out_option
 
 app = CommandApp("Record")
 
@@ -18,7 +18,7 @@ def recover_command(
         help="Recording whose writer crashed, or its intended name: `dynid record` writes into "
         "FILE.unfinished-….h5 until it closes the recording."
     ),
-    out: Path = typer.Option(None, "-o", "--out", help="Recording to write; default: FILE-recovered.h5."),
+    out: Path = out_option("Recording to write; default: FILE-recovered.h5."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON
+from daq.commands.options import FORCE, JSON, folder_option
 
 app = CommandApp("Identify")
 
@@ -23,7 +23,7 @@ def bench(
     ),
     download: bool = typer.Option(False, "--download", help="Download missing files that have an address."),
     listed: bool = typer.Option(False, "--list", help="Only list data sets and methods."),
-    out: Path = typer.Option(None, "-o", "--out", help="Folder for benchmark.json and report.html."),
+    out: Path = folder_option("benchmark.json"),
     scheduler: str = typer.Option("", "--scheduler", help="Judge on a Dask cluster (tcp://host:8786)."),
     force: bool = FORCE,
     as_json: bool = JSON,

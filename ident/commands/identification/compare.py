@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, folder_option, takes
 from drivers.core.errors import UsageError
 from ident.tasks.options import CompareOptions
 
@@ -17,11 +15,7 @@ app = CommandApp("Identify")
 @app.command("compare")
 @takes(CompareOptions)
 def compare_methods(
-    *,
-    options: CompareOptions,
-    out: Path = typer.Option(None, "-o", "--out", help="Folder for comparison.json and report.html."),
-    force: bool = FORCE,
-    as_json: bool = JSON,
+    *, options: CompareOptions, out: Path = folder_option("comparison.json"), force: bool = FORCE, as_json: bool = JSON
 ) -> None:
     """Compare methods and friction models on held-out recordings.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON
+from daq.commands.options import FORCE, JSON, out_option
 
 app = CommandApp("Identify")
 
@@ -17,7 +17,7 @@ MOST_ROWS = 12
 @app.command("fleet")
 def fleet(
     file: Path = typer.Argument(metavar="FLEET_FILE", help="Arms, recordings and methods (.yaml; docs/fleet.md)."),
-    out: Path = typer.Option(None, "-o", "--out", help="Folder of all results; an existing one is continued."),
+    out: Path = out_option("Folder of all results; an existing one is continued."),
     workers: int = typer.Option(None, "--workers", help="Number of processes; default: one per core."),
     scheduler: str = typer.Option("", "--scheduler", help="Dask scheduler to use instead (tcp://host:8786)."),
     history: Path = typer.Option(None, "--history", help="Add every result to this history (dynid history)."),

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, folder_option, takes
 from ident.tasks.options import FrictionOptions
 
 app = CommandApp("Identify")
@@ -16,11 +14,7 @@ app = CommandApp("Identify")
 @app.command("friction")
 @takes(FrictionOptions)
 def find_friction(
-    *,
-    options: FrictionOptions,
-    out: Path = typer.Option(None, "-o", "--out", help="Folder for friction.json and report.html."),
-    force: bool = FORCE,
-    as_json: bool = JSON,
+    *, options: FrictionOptions, out: Path = folder_option("friction.json"), force: bool = FORCE, as_json: bool = JSON
 ) -> None:
     """Identify joint friction over speed, temperature and load.
 

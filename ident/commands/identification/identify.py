@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, VERBOSE, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, folder_option, takes
 from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD, MODEL_FILE
 from ident.tasks.options import IdentifyOptions
 
@@ -23,7 +23,7 @@ app = CommandApp("Identify")
 @takes(IdentifyOptions, method=METHOD, rest_tolerance={"show_default": False})
 def identify_recordings(
     *,
-    out: Path = typer.Option(None, "-o", "--out", help="Folder for result.json and report.html."),
+    out: Path = folder_option("result.json"),
     options: IdentifyOptions,
     accept: Path = ACCEPT,
     max_error: float = MAX_ERROR,

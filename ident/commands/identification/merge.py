@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, VERBOSE, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, folder_option, takes
 from ident.tasks.options import MergeOptions
 
 app = CommandApp("Identify")
@@ -17,7 +15,7 @@ app = CommandApp("Identify")
 @takes(MergeOptions)
 def merge_models(
     *,
-    out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
+    out: Path = folder_option("result.json", Path("merged-model")),
     options: MergeOptions,
     verbose: bool = VERBOSE,
     force: bool = FORCE,

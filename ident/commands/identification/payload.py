@@ -6,10 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, VERBOSE, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, folder_option, takes
 from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
@@ -19,13 +17,16 @@ if TYPE_CHECKING:
 
 app = CommandApp("Identify")
 
-OUT = typer.Option(None, "-o", "--out", help="Folder for the result (.json) and report.html.")
-
 
 @app.command("payload")
 @takes(LoadOptions)
 def identify_load(
-    *, options: LoadOptions, out: Path = OUT, verbose: bool = VERBOSE, force: bool = FORCE, as_json: bool = JSON
+    *,
+    options: LoadOptions,
+    out: Path = folder_option("payload.json"),
+    verbose: bool = VERBOSE,
+    force: bool = FORCE,
+    as_json: bool = JSON,
 ) -> None:
     """Identify the load on the tool from runs without and with it.
 
@@ -49,7 +50,12 @@ def identify_load(
 @app.command("gains")
 @takes(GainsOptions)
 def identify_drive_gains(
-    *, options: GainsOptions, out: Path = OUT, verbose: bool = VERBOSE, force: bool = FORCE, as_json: bool = JSON
+    *,
+    options: GainsOptions,
+    out: Path = folder_option("gains.json"),
+    verbose: bool = VERBOSE,
+    force: bool = FORCE,
+    as_json: bool = JSON,
 ) -> None:
     """Identify drive gains from runs without and with a known load.
 

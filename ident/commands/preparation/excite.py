@@ -7,10 +7,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, csv_option, out_option, page_option, takes
 from drivers.core.options import Options, option, same_named
 from ident.commands.options import refuse_options_but
 from ident.excite.choices import PoseCount, ServoMotionLength
@@ -222,10 +220,10 @@ app = CommandApp("Record")
 @takes(ExciteCommandOptions)
 def excite(
     *,
-    out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
+    out: Path = out_option("Trajectory file to write (.yaml).", ...),
     options: ExciteCommandOptions,
-    csv: Path = typer.Option(None, "--csv", help="Table of positions to write (.csv), for your own player."),
-    page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
+    csv: Path = csv_option("Table of positions to write (.csv), for your own player."),
+    page: Path = page_option("Page to write (.html): figures, plots, the arm in motion."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, VERBOSE, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, page_option, takes
 from ident.tasks.options import InfoOptions
 
 app = CommandApp("Look")
@@ -18,7 +16,7 @@ app = CommandApp("Look")
 def show_info(
     *,
     options: InfoOptions,
-    page: Path = typer.Option(None, "--page", help="Folder for info.json and the page info.html."),
+    page: Path = page_option("Folder for info.json and the page info.html."),
     verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,

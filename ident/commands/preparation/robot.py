@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp, GroupedCommands
-from daq.commands.options import FORCE, JSON, ROBOT
+from daq.commands.options import FORCE, JSON, ROBOT, out_option
 from drivers.core.text import counted
 
 robot_app = CommandApp("Robot", cls=GroupedCommands, invoke_without_command=True)
@@ -99,7 +99,7 @@ def new(
     joints: int = typer.Option(
         None, "--joints", help="Number of joints, for a file without a URDF (modified DH rows)."
     ),
-    out: Path = typer.Option(None, "-o", "--out", help="Robot file to write (.yaml); default: the URDF's name."),
+    out: Path = out_option("Robot file to write (.yaml); default: the URDF's name."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, out_option, page_option, takes
 from ident.tasks.options import SweepOptions
 
 app = CommandApp("Record")
@@ -17,9 +15,9 @@ app = CommandApp("Record")
 @takes(SweepOptions)
 def sweep_velocities(
     *,
-    out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
+    out: Path = out_option("Trajectory file to write (.yaml).", ...),
     options: SweepOptions,
-    page: Path = typer.Option(None, "--page", help="Page to write (.html): plots, the arm in motion."),
+    page: Path = page_option("Page to write (.html): plots, the arm in motion."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from daq.commands.help_text import CommandApp, GroupedCommands
-from daq.commands.options import FORCE, JSON
+from daq.commands.options import FORCE, JSON, csv_option, page_option
 
 
 class _ShownByDefault(GroupedCommands):
@@ -69,8 +69,8 @@ def add(
 def show(
     database: Path = typer.Argument(metavar="HISTORY", help="File of the history (.db)."),
     arm: str = typer.Option(None, "--arm", help="The arm, if the file holds several."),
-    page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
-    csv: Path = typer.Option(None, "--csv", help="CSV file to write: a row per parameter and result."),
+    page: Path = page_option(),
+    csv: Path = csv_option("CSV file to write: a row per parameter and result."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

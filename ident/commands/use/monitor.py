@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, REALTIME, takes
+from daq.commands.options import FORCE, JSON, NO_UI, REALTIME, page_option, takes
 from daq.commands.record import SessionOptions
 from drivers.core.errors import UsageError
 from drivers.core.options import argument, flag_of, option, same_named
@@ -67,10 +67,10 @@ def monitor_command(
     contacts: Path = typer.Option(
         None, "--contacts", help="CSV (start,end in seconds) of labelled contacts.", rich_help_panel=REPLAY
     ),
-    page: Path = typer.Option(None, "--page", help="Page with plots to write (.html).", rich_help_panel=REPLAY),
+    page: Path = page_option(panel=REPLAY),
     force: bool = FORCE,
     realtime: bool = REALTIME,
-    no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
+    no_ui: bool = NO_UI,
     as_json: bool = JSON,
 ) -> None:
     """Find contacts by the external torque on every joint, live or in a recording. No safety function.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, out_option, page_option, takes
 from ident.tasks.options import PredictOptions
 
 app = CommandApp("Use")
@@ -17,9 +15,9 @@ app = CommandApp("Use")
 @takes(PredictOptions)
 def predict_torque(
     *,
-    out: Path = typer.Option(None, "-o", "--out", help="Recording to write (.h5)."),
+    out: Path = out_option("Recording to write (.h5)."),
     options: PredictOptions,
-    page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
+    page: Path = page_option(),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
