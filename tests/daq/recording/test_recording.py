@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from each import each
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -191,83 +193,6 @@ def truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-700])
 
 
-def rename_schema(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        del file.attrs["dynid_schema"]
-
-
-def newer_schema(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file.attrs["dynid_schema"] = SCHEMA_VERSION + 1
-
-
-def text_schema(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file.attrs["dynid_schema"] = "one"
-
-
-def no_stream(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        del file["streams"]
-
-
-def no_time(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        del file["streams/joints/time"]
-
-
-def half_written(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/current"].resize(0, axis=0)
-
-
-def group_in_a_stream(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints"].create_group("more")
-
-
-def two_clocks(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        del file["streams/joints/host_time"]
-        file["streams/joints/host_time"] = np.zeros((20, 2))
-
-
-def absurd_stamp(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/host_time"][7] = -1e256
-
-
-def lost_names(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/position"].attrs["joints"] = ["shoulder"]
-
-
-def a_name_twice(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/position"].attrs["joints"] = ["shoulder", "shoulder"]
-
-
-def degrees(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/position"].attrs["unit"] = "°"
-
-
-def one_dimension(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/force"] = np.zeros(20)
-
-
-def complex_numbers(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        file["streams/joints/force"] = np.zeros((20, 2), dtype=np.complex128)
-
-
-def foreign_events(path: Path) -> None:
-    with h5py.File(path, "a") as file:
-        del file["events"]
-        file["events"] = np.zeros(3)
-
-
 def text_file(path: Path) -> None:
     path.write_text("t,q1\n0,1\n")
 
@@ -281,39 +206,92 @@ def directory(path: Path) -> None:
     path.mkdir()
 
 
-def nothing(path: Path) -> None:
-    path.unlink()
+def without(name: str, instead: np.ndarray | None = None) -> Callable[[h5py.File], None]:
+    """Take a group or dataset away, and put another one in its place."""
+
+    def damage(file: h5py.File) -> None:
+        del file[name]
+        if instead is not None:
+            file[name] = instead
+
+    return damage
 
 
-@pytest.mark.parametrize(
+def with_attribute(name: str, key: str, value: object) -> Callable[[h5py.File], None]:
+    return lambda file: file[name].attrs.__setitem__(key, value)
+
+
+JOINTS = f"streams/{JOINTS_STREAM}"
+
+
+@each(
     ("damage", "message"),
     [
         (truncate, "truncated or still open in a writer.*copy it again"),
-        (rename_schema, "not a dynid recording.*dynid import"),
-        (newer_schema, "schema version 2, this version of dynid reads up to 1.*update dynid"),
-        (text_schema, "unreadable schema version 'one'"),
-        (no_stream, "contains no stream"),
-        (no_time, "/streams/joints: has no dataset 'time'"),
-        (half_written, "/streams/joints: is half-written: rows per dataset .*'current': 0"),
-        (group_in_a_stream, "'more' is not a dataset"),
-        (two_clocks, r"'host_time' has shape \(20, 2\)"),
-        (absurd_stamp, "/streams/joints: the 'host_time' of sample 7, -1e\\+256 s, is not within"),
-        (lost_names, "'position' has 2 columns, but its attribute 'joints' names 1"),
-        (a_name_twice, "'position' names a column twice: shoulder, shoulder"),
-        (degrees, "'position' is in °; values of a recording are in SI units"),
-        (one_dimension, r"'force' has shape \(20,\)"),
-        (complex_numbers, r"'force' has .* type complex128"),
-        (foreign_events, "is damaged"),
         (text_file, "is not an HDF5 file.*dynid import"),
         (empty_file, r"is empty \(0 bytes\)"),
         (directory, "is a folder, not a file"),
-        (nothing, "no such file"),
+        (Path.unlink, "no such file"),
     ],
 )
-def test_broken_files_say_how(tmp_path: Path, damage: object, message: str) -> None:
-    path = tmp_path / "run.h5"
+def test_what_is_no_whole_file_is_refused(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+    path = Path(tempfile.mkdtemp(dir=tmp_path)) / "run.h5"
     write_recording(path, make_recording())
-    damage(path)  # type: ignore[operator]
+    damage(path)
+    assert_refused(path, message)
+
+
+@each(
+    ("damage", "message"),
+    [
+        (lambda file: file.attrs.pop("dynid_schema"), "not a dynid recording.*dynid import"),
+        (
+            with_attribute("/", "dynid_schema", SCHEMA_VERSION + 1),
+            "schema version 2, this version of dynid reads up to 1.*update dynid",
+        ),
+        (with_attribute("/", "dynid_schema", "one"), "unreadable schema version 'one'"),
+        (without("streams"), "contains no stream"),
+        (without(f"{JOINTS}/time"), "/streams/joints: has no dataset 'time'"),
+        (
+            lambda file: file[f"{JOINTS}/current"].resize(0, axis=0),
+            "/streams/joints: is half-written: rows per dataset .*'current': 0",
+        ),
+        (lambda file: file[JOINTS].create_group("more"), "'more' is not a dataset"),
+        (without(f"{JOINTS}/host_time", np.zeros((20, 2))), r"'host_time' has shape \(20, 2\)"),
+        (
+            lambda file: file[f"{JOINTS}/host_time"].__setitem__(7, -1e256),
+            "/streams/joints: the 'host_time' of sample 7, -1e\\+256 s, is not within",
+        ),
+        (
+            with_attribute(f"{JOINTS}/position", "joints", ["shoulder"]),
+            "'position' has 2 columns, but its attribute 'joints' names 1",
+        ),
+        (
+            with_attribute(f"{JOINTS}/position", "joints", ["shoulder", "shoulder"]),
+            "'position' names a column twice: shoulder, shoulder",
+        ),
+        (
+            with_attribute(f"{JOINTS}/position", "unit", "°"),
+            "'position' is in °; values of a recording are in SI units",
+        ),
+        (lambda file: file.create_dataset(f"{JOINTS}/force", data=np.zeros(20)), r"'force' has shape \(20,\)"),
+        (
+            lambda file: file.create_dataset(f"{JOINTS}/force", data=np.zeros((20, 2), dtype=np.complex128)),
+            r"'force' has .* type complex128",
+        ),
+        (without("events", np.zeros(3)), "is damaged"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, damage: Callable[[h5py.File], None], message: str) -> None:
+    path = tmp_path / "run.h5"
+    path.unlink(missing_ok=True)
+    write_recording(path, make_recording())
+    with h5py.File(path, "a") as file:
+        damage(file)
+    assert_refused(path, message)
+
+
+def assert_refused(path: Path, message: str) -> None:
     with pytest.raises(RecordingError, match=message) as caught:
         read_recording(path)
     assert caught.value.where.startswith(str(path))

@@ -83,10 +83,8 @@ def test_blocks_are_what_the_streams_promise(arm: Arm, make_driver: Make, read_f
     keys = connection(arm(cycle).channel)
     signals: Any = keys["signals"]
     for number, joint in enumerate(JOINTS):
-        place = {"joint": joint, "id": 0x182, "start": 32 + 8 * number, "length": 8}
         warm = {"quantity": "temperature", "joint": joint, "id": 0x183, "start": 8, "length": 8, "unit": "degC"}
         signals.append(warm | {"multiplexer": {"start": 0, "length": 8, "value": 1 - number}})
-        del place
     signals.append({"quantity": "fault", "joint": "elbow", "id": 0x184, "start": 0, "length": 8})
     driver: Driver = make_driver(keys)
     driver.open()

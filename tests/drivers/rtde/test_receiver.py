@@ -274,17 +274,22 @@ def test_repeated_packages_are_left_out(controller: Make, connect: Connect) -> N
     assert {notice.level for notice in notices} == {"warning"}
 
 
-def test_reconnecting_gives_new_values_and_counts_the_gap(controller: Make, connect: Connect) -> None:
-    scripts = [[*steady(1.0, 20), Cut()], [*steady(2.0, 20), Never()]]
-    server = controller(lambda number: scripts[number])
-    receiver = connect(server)
+@each(
+    ("before", "after", "lost", "said"),
+    [(1.0, 2.0, 500 - 20, "connected again"), (100.0, 1.0, 0, "clock started again")],
+)
+def test_reconnecting_gives_new_values_and_counts_the_gap_unless_the_clock_started_again(
+    controller: Make, connect: Connect, before: float, after: float, lost: int, said: str
+) -> None:
+    scripts = [[*steady(before, 20), Cut()], [*steady(after, 20), Never()]]
+    receiver = connect(controller(lambda number: scripts[number]))
     receiver.start()
     take_all(receiver)
     receiver.reconnect()
     batches = take_until(receiver, 20)
-    assert clocks(batches) == [2.0 + index / 500 for index in range(20)]
-    assert sum(batch.lost for batch in batches) == 500 - 20
-    assert any("connected again" in notice.message for notice in receiver.notices())
+    assert clocks(batches) == [after + index / 500 for index in range(20)]
+    assert sum(batch.lost for batch in batches) == lost
+    assert any(said in notice.message for notice in receiver.notices())
 
 
 def test_reconnecting_drops_what_was_not_taken(clock: SimulatedClock, controller: Make, connect: Connect) -> None:
@@ -294,17 +299,6 @@ def test_reconnecting_drops_what_was_not_taken(clock: SimulatedClock, controller
     clock.sleep(0.2)
     receiver.reconnect()
     assert clocks(take_until(receiver, 5)) == [2.0 + index / 500 for index in range(5)]
-
-
-def test_reconnecting_to_a_clock_that_started_again(controller: Make, connect: Connect) -> None:
-    scripts = [[*steady(100.0, 20), Cut()], [*steady(1.0, 20), Never()]]
-    receiver = connect(controller(lambda number: scripts[number]))
-    receiver.start()
-    take_all(receiver)
-    receiver.reconnect()
-    batches = take_until(receiver, 20)
-    assert sum(batch.lost for batch in batches) == 0
-    assert any("clock started again" in notice.message for notice in receiver.notices())
 
 
 def test_reconnecting_to_another_controller_is_refused(controller: Make, connect: Connect) -> None:

@@ -188,18 +188,14 @@ def test_what_is_not_json_is_refused(tmp_path, text):
         read_result(tmp_path / "r.json")
 
 
-@each("value", [[], 3, None, "text", {}, {"kind": "trajectory"}, {"dynid_schema": 1}])
-def test_another_kind_of_file_is_refused(tmp_path, value):
-    (tmp_path / "r.json").write_text(json.dumps(value))
-    with pytest.raises(ResultFileError, match="not a result of dynid identify"):
-        read_result(tmp_path / "r.json")
-
-
-@pytest.mark.parametrize("schema", [2, 99, "1", None])
-def test_a_newer_schema_is_refused(tmp_path, content, schema):
-    (tmp_path / "r.json").write_text(json.dumps(content | {"dynid_schema": schema}))
-    with pytest.raises(ResultFileError, match="schema version"):
-        read_result(tmp_path / "r.json")
+def test_files_of_another_kind_or_schema_are_refused(tmp_path, content):
+    others = [[], 3, None, "text", {}, {"kind": "trajectory"}, {"dynid_schema": 1}]
+    cases = [(other, "not a result of dynid identify") for other in others]
+    cases += [(content | {"dynid_schema": schema}, "schema version") for schema in (2, 99, "1", None)]
+    for value, message in cases:
+        (tmp_path / "r.json").write_text(json.dumps(value))
+        with pytest.raises(ResultFileError, match=message):
+            read_result(tmp_path / "r.json")
 
 
 @settings(deadline=None, max_examples=40)

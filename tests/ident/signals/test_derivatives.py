@@ -132,35 +132,19 @@ def test_cutoffs_that_do_not_fit_are_refused(choices: dict[str, tuple[float, ...
         prepare(recorded(), PreprocessChoices(differentiation="kalman", **choices))  # type: ignore[arg-type]
 
 
-@each("cutoff", [0.0, -1.0, float("nan")])
-def test_impossible_cutoffs_are_refused(cutoff: float) -> None:
-    with pytest.raises(UsageError):
-        PreprocessChoices(differentiation="kalman", joint_cutoffs=(cutoff,))
-
-
-def test_an_unknown_way_is_refused() -> None:
-    with pytest.raises(UsageError, match="--differentiation 'spline' does not exist"):
-        PreprocessChoices(differentiation="spline")  # type: ignore[arg-type]
-
-
-def test_stated_noise_levels_are_those_of_all_joints_and_of_the_next_recording() -> None:
-    choices = PreprocessChoices(differentiation="kalman", kalman_noise=(2e5, 1e-9))
-    prepared = prepare(recorded(), choices)
-    cutoff = (2e5 * RATE / 1e-9) ** 0.125 / (2 * np.pi)
-    assert prepared.choices.joint_cutoffs == pytest.approx((cutoff, cutoff))
-    again = prepare(recorded(seed=1), prepared.choices)
-    assert again.choices.joint_cutoffs == prepared.choices.joint_cutoffs
-
-
 @each(
     ("choices", "words"),
     [
+        ({"differentiation": "kalman", "joint_cutoffs": (0.0,)}, "joint_cutoffs 0 is not within"),
+        ({"differentiation": "kalman", "joint_cutoffs": (-1.0,)}, "joint_cutoffs -1 is not within"),
+        ({"differentiation": "kalman", "joint_cutoffs": (float("nan"),)}, "joint_cutoffs nan is not a finite number"),
+        ({"differentiation": "spline"}, "--differentiation 'spline' does not exist"),
         ({"differentiation": "kalman", "kalman_noise": (1.0,)}, "is not two numbers"),
         ({"differentiation": "kalman", "kalman_noise": (1.0, 0.0)}, "--kalman-noise 0 is not within"),
         ({"differentiation": "kalman", "kalman_noise": (1.0, 1.0), "position_cutoff": 20.0}, "fix the cut-off"),
         ({"kalman_noise": (1.0, 1.0)}, "need the Kalman smoother"),
     ],
 )
-def test_noise_levels_that_mean_nothing_are_refused(choices: dict[str, object], words: str) -> None:
+def test_cutoffs_ways_and_noise_levels_that_mean_nothing_are_refused(choices: dict[str, object], words: str) -> None:
     with pytest.raises(UsageError, match=words):
         PreprocessChoices(**choices)
