@@ -31,7 +31,7 @@ def command_checks(motion: CommandedMotion, quality: CommandQuality) -> list[Che
             if rows is None
             else f"the commands are the measured positions{when}, so nothing shows what the servos do with a command"
         )
-        checks.append(raised("command-other", f"{text}"))
+        checks.append(raised("command-other", text))
     # First: a joint that follows its command only at times looks like one with a wrong clock or order.
     for joint, (first, last) in quality.frozen.items():
         text = (
