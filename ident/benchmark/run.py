@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -27,19 +27,9 @@ from ident.benchmark.entry import (
     servo_predictor,
     torque_predictor,
 )
-from ident.benchmark.judge import ServoScore, TorqueScore, agreement, judge_servo, judge_torques
+from ident.benchmark.judge import agreement, judge_servo, judge_torques
 from ident.benchmark.motion import BenchmarkMotion, motions
 from ident.benchmark.results import Benchmark, Entry, Skipped
-
-
-@dataclass(frozen=True)
-class Judged:
-    """What one process found; `score` is None where the method is not for this kind of data."""
-
-    score: TorqueScore | ServoScore | None
-    parameters: tuple[int, int] | None = None
-    seconds: float = float("nan")
-    memory: float = float("nan")
 
 
 def run_benchmark(
@@ -81,12 +71,12 @@ def run_benchmark(
                 if METHODS.get(name) == place and (name in SERVO_METHODS) != (dataset.kind == "servo"):
                     continue
                 progress(f"{dataset.name}: {name}")
-                begun.append((Entry(dataset.name, name), judge(dataset, place)))
+                begun.append((Entry(dataset.name, name), judge(dataset, name, place)))
         entries = [entry for empty, judged in begun if (entry := _entry(empty, judged)) is not None]
     return Benchmark(tuple(present), tuple(entries), tuple(skipped), dict(software_versions()))
 
 
-Judge = Callable[[Dataset, str], Future[Judged]]
+Judge = Callable[[Dataset, str, str], Future[Entry | None]]
 
 
 @contextmanager
@@ -94,20 +84,20 @@ def _judge(folder: Path, scheduler: str) -> Iterator[Judge]:
     """What judges: the workers of a cluster, else one process after the other, so that none slows another down."""
     if scheduler:
         with cluster_executor(scheduler) as executor:
-            yield lambda dataset, place: executor.submit(judge_method, dataset, place, folder.absolute())
+            yield lambda dataset, name, place: executor.submit(judge_method, dataset, name, place, folder.absolute())
         return
 
-    def in_a_process(dataset: Dataset, place: str) -> Future[Judged]:
+    def in_a_process(dataset: Dataset, name: str, place: str) -> Future[Entry | None]:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, started_without_main():
-            return pool.submit(judge_method, dataset, place, folder)
+            return pool.submit(judge_method, dataset, name, place, folder)
 
     yield in_a_process
 
 
-def _entry(empty: Entry, judging: Future[Judged]) -> Entry | None:
+def _entry(empty: Entry, judging: Future[Entry | None]) -> Entry | None:
     """A method's figures on a data set; None where it is not for this kind."""
     try:
-        judged = judging.result()
+        return judging.result()
     except DynidError as error:
         return replace(empty, failure=str(error))
     except CancelledError as error:
@@ -116,22 +106,17 @@ def _entry(empty: Entry, judging: Future[Judged]) -> Entry | None:
         return replace(empty, failure="its process ended: out of memory, or a crash")
     except (Exception, SystemExit) as error:  # what a third party's method raises is its result, not the others' end
         return replace(empty, failure=f"{type(error).__name__}: {error}")
-    if judged.score is None:
-        return None
-    return replace(
-        empty, score=judged.score, parameters=judged.parameters, seconds=judged.seconds, memory=judged.memory
-    )
 
 
-def judge_method(dataset: Dataset, place: str, folder: Path) -> Judged:
-    """Train a method and judge it; in the process that calls.
+def judge_method(dataset: Dataset, name: str, place: str, folder: Path) -> Entry | None:
+    """Train a method and judge it; in the process that calls. None where it is not for this kind of data.
 
     Raises:
         DynidError: the method cannot be found, does not suit the data, or predicts what cannot be compared.
     """
     method = load_method(place)
     if kind_of(method) != dataset.kind:
-        return Judged(None)
+        return None
     data = load_dataset(dataset, folder)
     training = Training(data.robot, data.train, _motions(data, data.train))
     start = time.process_time()
@@ -139,14 +124,14 @@ def judge_method(dataset: Dataset, place: str, folder: Path) -> Judged:
     seconds = time.process_time() - start
     if dataset.kind == "servo":
         score = judge_servo(servo_predictor(predicted, place), data.test, data.robot, dataset.judged)
-        return Judged(score, None, seconds, peak_memory())
+        return Entry(dataset.name, name, score, None, seconds, peak_memory())
     predictor = torque_predictor(predicted, place)
     torques = judge_torques(predictor, list(_motions(data, data.test)), data.robot)
     parameters = None
     if predictor.parameters:
         first, second = (torque_predictor(method(half), place) for half in _halves(data))
         parameters = agreement(first, second)
-    return Judged(torques, parameters, seconds, peak_memory())
+    return Entry(dataset.name, name, torques, parameters, seconds, peak_memory())
 
 
 def _motions(data: LoadedData, recordings: Sequence[Recording]) -> tuple[BenchmarkMotion, ...]:

@@ -19,6 +19,7 @@ from ident.regression.least_squares import LEAST_TORQUE
 from ident.signals.copied_runs import copied_run
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
+from ident.signals.prepared import Prepared
 from ident.signals.sample_hashes import HashArray, check_counted_once, overlap, sample_hashes
 from ident.signals.segments import played_window
 
@@ -74,6 +75,24 @@ class RunWindow:
             time <= (np.inf if self.stop is None else self.stop)
         )
         return values[inside] if inside.any() else values
+
+
+@dataclass(frozen=True)
+class PreparedRun:
+    """A recording, or a part of one, ready for the estimator."""
+
+    signals: JointSignals  # as recorded
+    choices: PreprocessChoices  # its preprocessing and its window
+    prepared: Prepared  # what came of it
+    torques: tuple[int, ...]  # motors whose torques the model of this experiment predicts
+    # the same with samples at rest, of held-out runs; None where `prepared` holds them
+    with_rest: Prepared | None = None
+    overlap: float = 0.0  # share of a held-out run's samples that are the identification's
+
+    @property
+    def everything(self) -> Prepared:
+        """What came of it, samples at rest included."""
+        return self.with_rest or self.prepared
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from drivers.core.units import joint_unit
 from ident.assessment.validation import LEAST_DIFFERENCE, Fit, fit_errors, overfitting_checks
-from ident.identify.data_split import distinct, labelled
+from ident.identify.data_split import PreparedRun, distinct, labelled
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
@@ -54,18 +54,6 @@ LEAST_MOTION = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOutData:
-    """A recording, or a part of one, that the model is compared with."""
-
-    label: str  # what messages call it
-    prepared: Prepared  # with the torques of motors at rest left out
-    everything: Prepared  # with those, too
-    torques: tuple[int, ...]  # motors whose torques the model predicts
-    overlap: float = 0.0  # share of its samples that are the identification's
-    checks: tuple[Check, ...] = ()  # that the recording itself raises
-
-
-@dataclass(frozen=True, eq=False)
 class ParameterSets:
     """What the parameters of an identification predict."""
 
@@ -99,12 +87,16 @@ class HeldOutRun:
     all_samples: tuple[TorqueSeries, ...]
 
 
-def held_out_run(parameters: ParameterSets, data: HeldOutData, fitted: Fit | None) -> HeldOutRun:
+def held_out_run(
+    parameters: ParameterSets, data: PreparedRun, fitted: Fit | None, label: str, checks: Sequence[Check]
+) -> HeldOutRun:
     """Compare the delivered model with a recording, and simulate it along the recording.
 
     Args:
         parameters: of the identification.
-        data: the recording.
+        data: the recording, or a part of one.
+        label: what messages call it.
+        checks: that the recording itself raises.
         fitted: errors of the delivered model on the identification data; None of a merge.
     """
     in_motion = parameters.series(parameters.delivered, data.prepared, data.torques)
@@ -115,9 +107,9 @@ def held_out_run(parameters: ParameterSets, data: HeldOutData, fitted: Fit | Non
         full_moving = _fit(parameters.series(parameters.full, data.prepared, data.torques), data)
         full_every = _fit(parameters.series(parameters.full, data.everything, data.torques), data)
     simulated = _simulated(parameters, data)
-    checks = list(data.checks)
+    checks = list(checks)
     if data.overlap > 0.0:
-        checks.append(_not_held_out(data))
+        checks.append(_not_held_out(label, data.overlap))
     if fitted is not None:
         checks += overfitting_checks(fitted, moving)
     if simulated.failure:
@@ -126,7 +118,7 @@ def held_out_run(parameters: ParameterSets, data: HeldOutData, fitted: Fit | Non
     if full_every is not None:
         checks += consistency_cost(parameters.model.joint_names, every, full_every)
     errors = HeldOutErrors(
-        recording=data.label,
+        recording=label,
         overlap=data.overlap,
         at_rest=_share_at_rest(in_motion, all_samples),
         in_motion=moving,
@@ -284,9 +276,9 @@ def _rest(run: HeldOutErrors) -> str:
     )
 
 
-def _not_held_out(data: HeldOutData) -> Check:
-    share = "its samples" if data.overlap >= 1.0 else f"{percent_text(data.overlap, 2)} of its samples"
-    text = f"{data.label} is not held out: {share} were used in the identification; validate with another recording"
+def _not_held_out(label: str, overlap: float) -> Check:
+    share = "its samples" if overlap >= 1.0 else f"{percent_text(overlap, 2)} of its samples"
+    text = f"{label} is not held out: {share} were used in the identification; validate with another recording"
     return raised("not-held-out", text)
 
 
@@ -298,7 +290,7 @@ def _costly(delivered: float | None, full: float | None, least: float = LEAST_DI
     return difference > COSTLY_DIFFERENCE or (difference > least and delivered > COSTLY_RATIO * full)
 
 
-def _fit(series: Sequence[TorqueSeries], data: HeldOutData) -> Fit:
+def _fit(series: Sequence[TorqueSeries], data: PreparedRun) -> Fit:
     return fit_errors(series, held_out=data.overlap == 0.0)
 
 
@@ -348,7 +340,7 @@ class _Simulated:
     failure: str = ""
 
 
-def _simulated(parameters: ParameterSets, data: HeldOutData) -> _Simulated:
+def _simulated(parameters: ParameterSets, data: PreparedRun) -> _Simulated:
     """The motion of the simulated arm beside the recorded one."""
     if parameters.consistent is None:
         return _Simulated(reason="there are no physically consistent parameters")

@@ -21,6 +21,7 @@ from ident.estimators.method_choice import MethodChoice, chosen_method
 from ident.friction.choice import AUTO, check_friction, chosen_friction, friction_columns
 from ident.friction.terms import friction_terms
 from ident.identify.cutoff_search import LoweredCutoffs
+from ident.identify.data_split import PreparedRun
 from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.identify.held_out import HeldOutRun
 from ident.identify.options import ColumnOptions
@@ -36,9 +37,7 @@ from ident.regression.options import REVERSAL_SHARE, EssentialOptions, Experimen
 from ident.regression.pruning import Pruned
 from ident.result.friction import FrictionStep
 from ident.result.schema import Essential, Presliding, PreslidingTravel
-from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
-from ident.signals.prepared import Prepared
 from ident.verdict.check import Check, texts
 
 if TYPE_CHECKING:
@@ -129,19 +128,6 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices, friction: Fr
     if choices.smoothing is not None:
         model = replace(model, smoothing=choices.smoothing)
     return model
-
-
-@dataclass(frozen=True)
-class PreparedRun:
-    """A recording, or a part of one, ready for the estimator."""
-
-    signals: JointSignals  # as recorded
-    choices: PreprocessChoices  # its preprocessing and its window
-    prepared: Prepared  # what came of it
-    torques: tuple[int, ...]  # motors whose torques the model of this experiment predicts
-    # the same with samples at rest, of held-out runs; None where `prepared` holds them
-    everything: Prepared | None = None
-    overlap: float = 0.0  # share of a held-out run's samples that are the identification's
 
 
 @dataclass(frozen=True)

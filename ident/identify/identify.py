@@ -25,19 +25,13 @@ from ident.estimators.torque_estimator import reduce_torques
 from ident.friction.terms import NO_TERMS
 from ident.identify.checks.body_checks import refuse_denied
 from ident.identify.checks.checks import identification_checks
-from ident.identify.data_split import check_torques, split_data
+from ident.identify.data_split import PreparedRun, check_torques, split_data
 from ident.identify.friction.extensions import low_speed_error
 from ident.identify.friction.fit import fit_friction
 from ident.identify.friction.shapes import with_curvature, with_free_shapes
 from ident.identify.held_friction import hold_temperatures
-from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
-from ident.identify.identification import (
-    ConsistentFit,
-    Identification,
-    IdentifyChoices,
-    PreparedRun,
-    apply_model_choices,
-)
+from ident.identify.held_out import HeldOutRun, ParameterSets, held_out_run
+from ident.identify.identification import ConsistentFit, Identification, IdentifyChoices, apply_model_choices
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
 from ident.model.another_arm import check_arm
 from ident.model.dynamic_model import build_model
@@ -269,20 +263,14 @@ def held_out_runs(identification: Identification) -> tuple[HeldOutRun, ...]:
         if found.consistent is None
         else armature_vector(found.model, found.consistent.parameters.armatures),
     )
-    fitted = found.delivered_fit
     apart: list[Recording | None] = [*validation] or [None] * len(found.validation_runs)
     return tuple(
         held_out_run(
             parameters,
-            HeldOutData(
-                label=run.signals.label if validation or several else found.validation_source,
-                prepared=run.prepared,
-                everything=run.everything or run.prepared,
-                torques=run.torques,
-                overlap=run.overlap,
-                checks=() if recording is None else tuple(recording_checks(recording, label=recording.label)),
-            ),
-            fitted,
+            run,
+            found.delivered_fit,
+            run.signals.label if validation or several else found.validation_source,
+            [] if recording is None else recording_checks(recording, label=recording.label),
         )
         for run, recording in zip(found.validation_runs, apart, strict=True)
     )

@@ -12,9 +12,9 @@ from drivers.core.errors import DataError
 from drivers.core.reading_process import Progress
 from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.identify.cutoff_search import LoweredCutoffs, lowered_cutoffs
-from ident.identify.data_split import DataSplit, RunWindow
+from ident.identify.data_split import DataSplit, PreparedRun, RunWindow
 from ident.identify.held_friction import HeldFriction
-from ident.identify.identification import IdentifyChoices, PreparedRun
+from ident.identify.identification import IdentifyChoices
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.velocity_reversals import leave_out_rest, leave_out_reversals
@@ -153,7 +153,7 @@ def _with_rest(run: PreparedRun, held: HeldFriction | None, *, played: bool) -> 
     if run.choices.keep_rest:
         return run
     kept = prepare_with_rest(run.signals, run.choices, played=played)
-    return replace(run, everything=kept if held is None else held.taken_off(kept))
+    return replace(run, with_rest=kept if held is None else held.taken_off(kept))
 
 
 def _played(window: Step) -> Step:

@@ -15,8 +15,8 @@ from drivers.core.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import Fit, fit_errors
 from ident.estimators.feasible.armature import armature_vector
-from ident.identify.data_split import RunWindow, check_torques, copied, run_window
-from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
+from ident.identify.data_split import PreparedRun, RunWindow, check_torques, copied, run_window
+from ident.identify.held_out import HeldOutRun, ParameterSets, held_out_run
 from ident.model.another_arm import check_arm
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
@@ -92,19 +92,13 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     torques = predictable_torques(model, stored_parts.experiments, motion.label, window.position, tolerance)
     armature = None if found is None else armature_vector(model, found.armature)
     parameters = ParameterSets(stored_parts.robot_file.robot, model, base, full, consistent, armature)
-    data = HeldOutData(
-        label=motion.label,
-        prepared=prepared,
-        everything=everything,
-        torques=torques,
-        overlap=used_share(result, recording, window),
-        checks=tuple(recording_checks(recording, label=recording.label)),
-    )
+    data = PreparedRun(motion, choices, prepared, torques, everything, used_share(result, recording, window))
+    checks = recording_checks(recording, label=recording.label)
     return Revalidation(
         parameters.series(full, prepared, torques),
         parameters.series(essential, prepared, torques),
         None if consistent is None else parameters.series(consistent, prepared, torques),
-        held_out_run(parameters, data, result.delivered.fit),
+        held_out_run(parameters, data, result.delivered.fit, motion.label, checks),
     )
 
 

@@ -19,10 +19,10 @@ from drivers.core.text import counted, percent_text
 from drivers.core.units import ZERO_CELSIUS, common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED
-from ident.identify.data_split import RunWindow
+from ident.identify.data_split import PreparedRun, RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
 from ident.identify.held_result import with_held_friction
-from ident.identify.identification import Identification, PreparedRun
+from ident.identify.identification import Identification
 from ident.model.another_arm import robot_sha256
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel

@@ -15,7 +15,7 @@ from drivers.core.files import path_of
 from ident.friction.table import SHAPED, SHAPES, TEMPERATURE_KINDS
 from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
 from ident.result.result_file import check_kind, read_content, stored
-from ident.stored import Number, Value
+from ident.stored import Number, Stored, Value
 
 FRICTION_FILE = "friction.json"
 """Its name in the folder that `dynid friction` writes."""
@@ -85,10 +85,8 @@ class JointFrictionExperiment(JointFrictionResult):
         return np.array([self.values[i] for i in places], dtype=np.float64), covariance.reshape(len(places), -1)
 
 
-class FrictionExperimentResult(BaseModel):
+class FrictionExperimentResult(Stored):
     """Output of `dynid friction`."""
-
-    model_config = ConfigDict(defer_build=True, frozen=True, extra="ignore")
 
     dynid_schema: Literal[1] = 1
     kind: Literal["friction"] = "friction"

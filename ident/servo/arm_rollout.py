@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from drivers.core.arrays import FloatArray
-from ident.servo.contact import Surface
+from ident.servo.contact import ServoContact
 from ident.servo.links import ServoLinks
 from ident.servo.motion import SETTLING, ServoMotion, lanes_of, motion_load, motion_touch
 from ident.servo.rollout.lanes import THINNED, Lanes, at_samples
@@ -34,7 +34,7 @@ DELAY_AND_LAG = ((0.02, 0.03), (0.02, 0.1), (0.08, 0.03))
 
 
 def roll_out_arm(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Surface | None = None
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: ServoContact | None = None
 ) -> list[FloatArray]:
     """Positions (N, n) of each motion at its samples, from its commands and first position alone [rad or m].
 
@@ -48,7 +48,7 @@ def roll_out_arm(
 
 
 def touched_paths(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Surface | None = None
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: ServoContact | None = None
 ) -> list[tuple[FloatArray, FloatArray]]:
     """The same with the contact's force (N,) [N] at the samples."""
     found: list[tuple[FloatArray, FloatArray]] = []
@@ -67,7 +67,7 @@ def _on_grids(motions: Sequence[ServoMotion], lanes: Lanes, path: FloatArray) ->
 
 
 def _side_by_side(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Surface | None
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: ServoContact | None
 ) -> list[tuple[FloatArray, FloatArray]]:
     joints = len(values)
     lanes, new, force = _settled(motions, links, values, contact)
@@ -82,7 +82,7 @@ def _side_by_side(
 
 
 def _settled(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Surface | None
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: ServoContact | None
 ) -> tuple[Lanes, FloatArray, FloatArray]:
     """The lanes of the last pass, with their positions and forces."""
     zero = values[:, INDEX["zero"]]

@@ -5,9 +5,8 @@ The surface is horizontal; the contact is a spring and damper that only push, at
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic import Field
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import BoolArray, FloatArray
@@ -17,6 +16,7 @@ from ident.servo.links import ServoLinks
 from ident.servo.rollout.lanes import Lanes, at_samples, repeated
 from ident.servo.rollout.rollout import roll_out
 from ident.servo.search import EVERY_ERROR, lane_cost, loss, robust_scale
+from ident.stored import Stored, Value
 
 STIFFNESS = 2000.0
 """[N/m] Start: that of gripper, links and gears, which is less than a table's."""
@@ -61,39 +61,38 @@ PRESSING = 0.05
 """[N] above which a contact counts."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """A surface and the point that touches it."""
+class ServoContact(Stored):
+    """A horizontal surface that the arm touches, with one point."""
 
-    link: int  # index of the link in the tree
-    point: FloatArray  # (3,) [m] in the frame of the link's joint
-    height: float  # of the surface, against gravity from the base frame's origin [m]
-    stiffness: float  # [N/m]
+    link: str = Field(description="to which the point belongs")
+    point: list[Value] = Field(description="in the frame of the link's joint [m]")
+    height: Value = Field(description="of the surface, against gravity from the base frame's origin [m]")
+    stiffness: Value = Field(description="[N/m]")
 
     def surface(self, pieces: int) -> FloatArray:
         """(5, pieces) as a roll-out takes it."""
         return np.tile(np.array([self.height, self.stiffness, *self.point])[:, None], (1, pieces))
 
 
-def tool_point(robot_file: RobotFile, links: ServoLinks) -> tuple[int, FloatArray]:
+def tool_point(robot_file: RobotFile, links: ServoLinks) -> tuple[str, FloatArray]:
     """The link and its point (3,) [m] that touch first: the file's tool point, else the URDF's farthest frame."""
     joints = links.model.joints
     chain = main_chain(joints, links.model.active)
-    link, point = chain[-1], np.array(robot_file.robot.workspace.tool)
+    link, point = joints[chain[-1]].name, np.array(robot_file.robot.workspace.tool)
     if point.any() or not robot_file.urdf_text:
         return link, point
     read = urdf_model(robot_file.urdf_text, links.model.link_names, robot_file.robot.model.locked, robot_file.where)
-    numbers = {read.getJointId(joints[index].name): index for index in chain[-FARTHEST_LINKS:]}
+    names = {read.getJointId(joints[index].name): joints[index].name for index in chain[-FARTHEST_LINKS:]}
     for frame in read.frames:
         placed = np.array(frame.placement.translation)
-        if frame.parentJoint in numbers and np.linalg.norm(placed) > max(float(np.linalg.norm(point)), SHORTEST):
-            link, point = numbers[frame.parentJoint], placed
+        if frame.parentJoint in names and np.linalg.norm(placed) > max(float(np.linalg.norm(point)), SHORTEST):
+            link, point = names[frame.parentJoint], placed
     return link, point
 
 
 def find_contact(
-    lanes: Lanes, values: FloatArray, link: int, point: FloatArray, least: float, known: Surface | None = None
-) -> Surface | None:
+    lanes: Lanes, values: FloatArray, link: str, point: FloatArray, least: float, known: ServoContact | None = None
+) -> ServoContact | None:
     """Return what the arm touches, where it lowers the error of pieces that it was not fitted to.
 
     Args:
@@ -123,7 +122,8 @@ def find_contact(
     if not _helps(judged, values, point, best, least):
         return None
     refined = _search(lanes.of_pieces(near), values, point, best, least)[0]
-    return Surface(link, point, float(refined[0]), float(np.exp(refined[1])))
+    height, stiffness = float(refined[0]), float(np.exp(refined[1]))
+    return ServoContact(link=link, point=point.tolist(), height=height, stiffness=stiffness)
 
 
 def away(lanes: Lanes, point: FloatArray) -> Lanes:
@@ -133,7 +133,7 @@ def away(lanes: Lanes, point: FloatArray) -> Lanes:
     return lanes.of_pieces(far) if 2 * len(far) >= len(lowest) else lanes
 
 
-def in_contact(lanes: Lanes, values: FloatArray, contact: Surface) -> BoolArray:
+def in_contact(lanes: Lanes, values: FloatArray, contact: ServoContact) -> BoolArray:
     """(S, L) samples that a contact bends: from shortly before it until the joints have settled again."""
     pieces = len(np.unique(lanes.piece))
     force = roll_out(lanes, values[lanes.joint].T, surface=contact.surface(pieces))[2]

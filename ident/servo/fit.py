@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.contact import Surface, away, find_contact, in_contact
+from ident.servo.contact import ServoContact, away, find_contact, in_contact
 from ident.servo.first_fit import FIRST_GROUPS, LIKE, begun_fit, error_scale, limited_by, regressed_values, savings
 from ident.servo.links import ServoLinks
 from ident.servo.motion import (
@@ -84,7 +84,7 @@ class ServoFit:
     gains: tuple[Mapping[str, float], ...]
     pieces: int  # number of pieces of motion in the fit
     left: FloatArray  # (n,) median absolute errors of these pieces [rad or m]
-    contact: Surface | None  # what the arm touches; None without a sign of it
+    contact: ServoContact | None  # what the arm touches; None without a sign of it
 
 
 def fit_servo(
@@ -93,7 +93,7 @@ def fit_servo(
     resolution: FloatArray,
     given: Mapping[tuple[int, str], float],
     declared: Mapping[tuple[int, str], float],
-    tool: tuple[int, FloatArray],
+    tool: tuple[str, FloatArray],
     progress: Progress,
 ) -> ServoFit:
     """Fit every joint, and what the arm touches.
@@ -205,7 +205,7 @@ class _State:
     free: BoolArray
     held: BoolArray
     assumed: frozenset[tuple[int, int]]
-    contact: Surface | None
+    contact: ServoContact | None
     gains: list[dict[str, float]]
 
 
@@ -215,7 +215,7 @@ def _settle_terms(
     motions: Sequence[ServoMotion],
     links: ServoLinks,
     joints: tuple[FloatArray, BoolArray, BoolArray],
-    tool: tuple[int, FloatArray],
+    tool: tuple[str, FloatArray],
     least: float,
     progress: Progress,
 ) -> None:
@@ -349,7 +349,7 @@ def _keep_trial(
 
 
 def _lanes_again(
-    state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: int, piece: float = PIECE
+    state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: str, piece: float = PIECE
 ) -> tuple[Lanes, Lanes]:
     """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge."""
     zero = state.values[:, INDEX["zero"]].copy()
@@ -370,7 +370,7 @@ def _without_contact(state: _State) -> tuple[Lanes, Lanes]:
     return halves(with_pull(state.kept, state.values), PIECES)
 
 
-def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], links: ServoLinks, link: int) -> Lanes:
+def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], links: ServoLinks, link: str) -> Lanes:
     """Longer pieces where the recordings are long, without what the contact bends; `final` where they are not."""
     piece = min(sum(float(motion.time[-1]) for motion in motions) / WANTED_PIECES, LONGEST_PIECE)
     if piece <= PIECE:

@@ -24,7 +24,7 @@ from ident.identify.summary import provenance
 from ident.model.another_arm import check_arm
 from ident.result.graded import Grade, robots_of
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
-from ident.servo.contact import PRESSING, Surface, tool_point
+from ident.servo.contact import PRESSING, ServoContact, tool_point
 from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.lapses import lapses
 from ident.servo.links import ServoLinks, servo_links
@@ -34,7 +34,6 @@ from ident.servo.result import (
     References,
     RolloutError,
     RolloutFit,
-    ServoContact,
     ServoJoint,
     ServoParameter,
     ServoRecording,
@@ -161,14 +160,7 @@ def identify_servo(
         resolution=steps.tolist(),
         step=motions[0].step,
         servo=joints,
-        contact=None
-        if contact is None
-        else ServoContact(
-            link=links.model.link_names[contact.link],
-            point=contact.point.tolist(),
-            height=contact.height,
-            stiffness=contact.stiffness,
-        ),
+        contact=contact,
         covariance=[matrix.tolist() for matrix in fitted.covariance],
         searched=[[TERMS[index].name for index in np.flatnonzero(row)] for row in fitted.free],
         fit=fit,
@@ -204,7 +196,7 @@ def revalidate_servo(
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]
     held_out = not _uses(motions, [use.sample_hashes for use in result.recordings if use.role == "identification"])
     lag = delay_and_lag(motions)
-    contact = contact_of(result, links)
+    contact = result.contact
     fit, paths = judge(motions, links, result.values, lag, contact, reference, held_out=held_out)
     steps = np.array(result.resolution)
     doubts = _doubts(recordings, robot_file)
@@ -277,20 +269,12 @@ def unexplained(names: Sequence[str], errors: FloatArray) -> list[str]:
     ]
 
 
-def contact_of(result: ServoResult, links: ServoLinks) -> Surface | None:
-    """Return what a stored model's arm touches."""
-    stored = result.contact
-    if stored is None:
-        return None
-    return Surface(links.model.link_names.index(stored.link), np.array(stored.point), stored.height, stored.stiffness)
-
-
 def judge(
     motions: Sequence[ServoMotion],
     links: ServoLinks,
     values: FloatArray,
     lag: tuple[float, float],
-    contact: Surface | None,
+    contact: ServoContact | None,
     reference: Any | None,
     *,
     held_out: bool,
@@ -357,7 +341,7 @@ def verdict(
     joints: Sequence[ServoJoint],
     judged: RolloutFit,
     steps: FloatArray,
-    contact: Surface | None = None,
+    contact: ServoContact | None = None,
     doubts: Sequence[str] = (),
 ) -> Grade:
     """A grade for rolling out motions, by held-out errors against encoder steps and references."""
@@ -410,7 +394,7 @@ def verdict(
     return Grade(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
 
 
-def _contact_words(contact: Surface, segments: Sequence[ContactSegment]) -> str:
+def _contact_words(contact: ServoContact, segments: Sequence[ContactSegment]) -> str:
     """Return what the arm touches, and when."""
     text = f"the arm touches something at a height of {contact.height:.3f} m"
     if not segments:

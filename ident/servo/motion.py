@@ -169,12 +169,12 @@ def motion_load(
     return MotionLoad(on_grid(times, torque) - zero * slopes, slopes, inertia, between)
 
 
-def motion_touch(links: ServoLinks, link: int, motion: ServoMotion, times: FloatArray, position: FloatArray) -> Touch:
+def motion_touch(links: ServoLinks, link: str, motion: ServoMotion, times: FloatArray, position: FloatArray) -> Touch:
     """Heights and levers of a link's frame along positions (N, n) at times (N,), on a motion's grid; one piece.
 
     Without the joints' `zero`: gravity tells it too badly to move the surface's height by it.
     """
-    height, lever = links.heights(link, position.T)
+    height, lever = links.heights(links.model.link_names.index(link), position.T)
     grid = motion.grid
 
     def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
@@ -265,7 +265,7 @@ def lanes_of(
 
 
 def lanes_with_touch(
-    motions: Sequence[ServoMotion], links: ServoLinks, loads: Sequence[MotionLoad], link: int, piece: float = PIECE
+    motions: Sequence[ServoMotion], links: ServoLinks, loads: Sequence[MotionLoad], link: str, piece: float = PIECE
 ) -> Lanes:
     """Pieces [s] of measured motions, with what a link may touch."""
     touches = [motion_touch(links, link, motion, motion.time, motion.position) for motion in motions]

@@ -15,6 +15,7 @@ from ident.regression.hypothesis_tests import SignificanceTest
 from ident.result.graded import Grade, ModelResult, UsedRecording
 from ident.result.result_file import SERVO, checked, read_content
 from ident.result.tables import Cell, Table, table_of_rows
+from ident.servo.contact import ServoContact
 from ident.servo.terms import INDEX, TERMS, to_search
 from ident.stored import Stored, Value
 
@@ -57,15 +58,6 @@ class RolloutError(Stored):
 
     recording: str
     rollout_error: list[Value]
-
-
-class ServoContact(Stored):
-    """A horizontal surface that the arm touches, with one point."""
-
-    link: str = Field(description="to which the point belongs")
-    point: list[Value] = Field(description="in the frame of the link's joint [m]")
-    height: Value = Field(description="of the surface, against gravity from the base frame's origin [m]")
-    stiffness: Value = Field(description="[N/m]")
 
 
 class ContactSegment(Stored):

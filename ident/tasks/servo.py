@@ -28,7 +28,7 @@ from ident.result.graded import robots_of
 from ident.result.models.model import result_path
 from ident.result.result_file import file_sha256
 from ident.servo.arm_rollout import roll_out_arm
-from ident.servo.identify import ServoIdentification, contact_of, read_motions, revalidate_servo
+from ident.servo.identify import ServoIdentification, read_motions, revalidate_servo
 from ident.servo.identify import identify_servo as identify_recordings
 from ident.servo.links import servo_links
 from ident.servo.motion import ServoMotion, servo_motions
@@ -76,7 +76,7 @@ class ServoModel(GradedResult):
             DataError: the recording has no commands, or is of another arm.
         """
         motions = self._motions(recording_of(run))
-        paths = roll_out_arm(motions, self._links, self.result.values, contact_of(self.result, self._links))
+        paths = roll_out_arm(motions, self._links, self.result.values, self.result.contact)
         return [(motion.begin + motion.time, path) for motion, path in zip(motions, paths, strict=True)]
 
     def predict(self, run: Run) -> Recording:
@@ -134,7 +134,7 @@ class ServoModel(GradedResult):
         positions = np.tile(begin, (len(stamps), 1))
         given = CommandedMotion(tuple(self.result.joints), stamps, positions, stamps, {TARGET: commands})
         motions = servo_motions(given, "commands")
-        paths = roll_out_arm(motions, self._links, self.result.values, contact_of(self.result, self._links))
+        paths = roll_out_arm(motions, self._links, self.result.values, self.result.contact)
         times = np.concatenate([motion.begin + motion.time for motion in motions])
         kept = np.searchsorted(stamps, times - 1e-9)
         arrays = {"t": times, "q": np.concatenate(paths), TARGET: commands[kept]}
@@ -183,7 +183,7 @@ class ServoModel(GradedResult):
         """
         target = path_of(path)
         check_outputs([target], overwrite=overwrite)
-        values, contact = self.result.values, contact_of(self.result, self._links)
+        values, contact = self.result.values, self.result.contact
         words = left_out(values, mjcf.MISSING)
         installed = mujoco_installed()
         text, replayed = nearest_file(

@@ -26,8 +26,9 @@ import numpy as np
 from daq.recording.recording import JOINTS_STREAM, Recording
 from drivers.core.arrays import FloatArray, IntArray
 from dynid import simulate
+from ident.identify.data_split import PreparedRun
 from ident.identify.friction.candidates import FOLDS
-from ident.identify.identification import Identification, IdentifyChoices, ModelChoices, PreparedRun
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.regression.comparison import TorqueSeries
 from studies.models.consistency import public

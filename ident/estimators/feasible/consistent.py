@@ -46,32 +46,6 @@ NAMED_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class ConsistentParameters:
-    """Standard parameters of bodies that can exist."""
-
-    values: FloatArray  # (p,) in column order
-    std: FloatArray  # (p,) standard deviations of what the data determine; nan for the rest
-    determined: FloatArray  # (p,) share of each that the data determine; the rest comes from the prior
-    known: BoolArray  # (p,) whether the robot file names its value
-    base: FloatArray  # (b,) the base parameters of `values`
-    base_covariance: FloatArray  # (b, b)
-    base_moves: FloatArray  # (b, a) derivative of `base` by the estimated values
-    sources: tuple[str, ...]  # (k,) where each link's prior comes from
-    misfit: float  # rise of the sum of squared residuals, each of unit variance, over that of the estimate
-    # whether noise explains that rise where the truth is consistent; None where no variance is known
-    cost: SignificanceTest | None
-    boundary: tuple[int, ...]  # indices of the links that the conditions hold near the boundary
-    limits_hit: tuple[str, ...]  # ranges of the file that are active
-    steps: int  # Newton steps
-    # what the robot file says of links and joints, and the data deny: keys of the file, with what the data say
-    contradicted: tuple[str, ...] = ()
-    # (b,) base parameters without all that the file says of links and joints, where the data deny it
-    without: FloatArray | None = None
-    armatures: tuple[Armature, ...] = ()  # of motors whose inertia the measured torque does not carry
-    apparent_mass: float | None = None  # of all links, as `apparent_mass` has it [kg]; None where the data show none
-
-
-@dataclass(frozen=True)
 class FeasibleFit:
     """Minimum of a problem; p parameters, a estimated values."""
 
@@ -79,12 +53,31 @@ class FeasibleFit:
     moves: FloatArray  # (p, a) their derivative by the estimated values
     spread: FloatArray  # (p, a) a root of their covariance: spread @ spread.T
     std: FloatArray  # (p,) standard deviations of what the data determine; nan for the rest
-    determined: FloatArray  # (p,) share of each that the data determine
+    determined: FloatArray  # (p,) share of each that the data determine; the rest comes from the prior
     misfit: float  # rise of the sum of squared residuals, each of unit variance, over that of the estimate
     left: FloatArray  # (a, a) share of a small change of the whitened values that conditions and prior do not follow
     boundary: tuple[int, ...]  # indices of the bodies that the conditions hold near the boundary
     limits_hit: tuple[str, ...]  # ranges of the file that are active
     steps: int  # Newton steps
+
+
+@dataclass(frozen=True)
+class ConsistentParameters(FeasibleFit):
+    """Standard parameters of bodies that can exist."""
+
+    known: BoolArray  # (p,) whether the robot file names its value
+    base: FloatArray  # (b,) the base parameters of `values`
+    base_covariance: FloatArray  # (b, b)
+    base_moves: FloatArray  # (b, a) derivative of `base` by the estimated values
+    sources: tuple[str, ...]  # (k,) where each link's prior comes from
+    # whether noise explains the misfit where the truth is consistent; None where no variance is known
+    cost: SignificanceTest | None
+    # what the robot file says of links and joints, and the data deny: keys of the file, with what the data say
+    contradicted: tuple[str, ...] = ()
+    # (b,) base parameters without all that the file says of links and joints, where the data deny it
+    without: FloatArray | None = None
+    armatures: tuple[Armature, ...] = ()  # of motors whose inertia the measured torque does not carry
+    apparent_mass: float | None = None  # of all links, as `apparent_mass` has it [kg]; None where the data show none
 
 
 def consistent_parameters(
@@ -123,19 +116,13 @@ def consistent_parameters(
     if cost is not None and cost.p_value < DENIED:
         contradicted, without = _contradicted(model, base, estimate, robot_file, fit)
     return ConsistentParameters(
-        values=fit.values,
-        std=fit.std,
-        determined=fit.determined,
+        **vars(fit),
         known=~problem.free,
         base=base.projection @ fit.values,
         base_covariance=of_base @ of_base.T,
         base_moves=base.projection @ fit.moves,
         sources=priors.sources,
-        misfit=fit.misfit,
         cost=cost,
-        boundary=fit.boundary,
-        limits_hit=fit.limits_hit,
-        steps=fit.steps,
         contradicted=contradicted,
         without=without,
         armatures=armatures(model, robot_file.robot, range(len(fit.values)), fit.values),

@@ -18,7 +18,8 @@ import numpy as np
 from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.errors import IdentificationError
 from ident.estimators.torque_estimator import reduce_torques
-from ident.identify.identification import Identification, PreparedRun
+from ident.identify.data_split import PreparedRun
+from ident.identify.identification import Identification
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.least_squares import weighted_least_squares

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
-from ident.servo.contact import Surface
+from ident.servo.contact import ServoContact
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion, known_load, lanes_of, measured_load
 from ident.servo.rollout.goals import profile_goals
@@ -208,7 +208,7 @@ def nearest_file(
     form: FileFormat,
     values: FloatArray,
     links: ServoLinks,
-    contact: Surface | None,
+    contact: ServoContact | None,
     motions: Sequence[ServoMotion],
     write: Callable[[FloatArray], str],
     play: Callable[[str, Sequence[ServoMotion]], Sequence[FloatArray]],

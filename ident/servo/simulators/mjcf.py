@@ -20,7 +20,7 @@ from ident.export.xml_text import comment_text, number, numbers
 from ident.friction.terms import NO_TERMS
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.servo.contact import Surface
+from ident.servo.contact import ServoContact
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion
 from ident.servo.simulators.actuator_law import FileFormat, actuator_law
@@ -40,7 +40,7 @@ def servo_mjcf(
     links: ServoLinks,
     values: FloatArray,
     missing: Sequence[str] = (),
-    contact: Surface | None = None,
+    contact: ServoContact | None = None,
 ) -> str:
     """The text of an MJCF: bodies of the robot file, joints, position actuators, and what the arm touches.
 
@@ -121,11 +121,12 @@ def _actuator(name: str, values: FloatArray, limits: tuple[float, float]) -> dic
     return attributes
 
 
-def _add_surface(root: ElementTree.Element, links: ServoLinks, contact: Surface) -> None:
+def _add_surface(root: ElementTree.Element, links: ServoLinks, contact: ServoContact) -> None:
     """A plane, and a small ball at the point that touches it; they collide with nothing else."""
     world = root.find("worldbody")
-    joint = links.model.joints[contact.link].name
-    body = next(found for found in root.iter("body") if any(own.get("name") == joint for own in found.findall("joint")))
+    body = next(
+        body for body in root.iter("body") if any(own.get("name") == contact.link for own in body.findall("joint"))
+    )
     assert world is not None
     up = -links.model.gravity / np.linalg.norm(links.model.gravity)
     plane = {

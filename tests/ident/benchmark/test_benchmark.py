@@ -139,7 +139,7 @@ def test_bodies_and_intervals(held_out):
 
 @pytest.mark.parametrize("name", ["pinocchio-lstsq", "ridge", "nearest-neighbour"])
 def test_the_plain_methods_learn(mirror, exact, name):
-    score = judge_method(exact, METHODS[name], mirror).score
+    score = judge_method(exact, name, METHODS[name], mirror).score
     limit = {"pinocchio-lstsq": 2.0}.get(name, 100.0)
     assert score.relative_error < limit
 
@@ -166,11 +166,11 @@ def test_losses_come_first_and_failures_are_named(mirror, exact, held_out, tmp_p
 class Elsewhere(ThreadPoolExecutor):
     """A worker in another folder, which finds what has a whole path; of the second task the scheduler is lost."""
 
-    def submit(self, fn, dataset, place, folder):
+    def submit(self, fn, dataset, name, place, folder):
         assert folder.is_absolute()
         lost = Future()
         lost.set_exception(CancelledError())
-        return super().submit(fn, dataset, place, folder) if place.startswith("documented") else lost
+        return super().submit(fn, dataset, name, place, folder) if place.startswith("documented") else lost
 
 
 def test_the_method_of_the_docs_runs_from_the_current_folder(mirror, exact, monkeypatch, tmp_path):

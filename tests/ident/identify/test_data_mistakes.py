@@ -17,7 +17,7 @@ from random_arms import random_arm
 import dynid
 from daq.recording.recording import Recording
 from ident.identify.checks.residual_bursts import REVERSAL, _away_from_gaps
-from ident.identify.identification import PreparedRun
+from ident.identify.data_split import PreparedRun
 from ident.model.dynamic_model import build_model
 from ident.regression.comparison import TorqueSeries
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

@@ -10,7 +10,7 @@ import pytest
 import dynid
 from daq.robot.loader import load_robot
 from ident.servo.arm_rollout import touched_paths
-from ident.servo.contact import Surface, find_contact, in_contact, lowest_points, tool_point
+from ident.servo.contact import ServoContact, find_contact, in_contact, lowest_points, tool_point
 from ident.servo.identify import read_motions
 from ident.servo.links import servo_links
 from ident.servo.motion import known_load, lanes_with_touch, measured_load
@@ -46,7 +46,7 @@ def test_a_surface_is_found_where_it_is_and_only_then(raised, motions):
         assert find_contact(free, values, *tool, STEP) is None
         return
     height = float(lowest_points(free, tool[1]).min()) + raised
-    true = Surface(tool[0], tool[1], height, 1500.0)
+    true = ServoContact(link=tool[0], point=tool[1].tolist(), height=height, stiffness=1500.0)
     lanes = pieces(true)
     found = find_contact(lanes, values, *tool, STEP)
     assert found.height == pytest.approx(height, abs=3e-3)
@@ -58,5 +58,5 @@ def test_a_surface_is_found_where_it_is_and_only_then(raised, motions):
 def test_what_touches_is_the_tool_point_of_the_file_or_the_farthest_frame_of_the_urdf():
     robot = load_robot("so101")
     link, point = tool_point(robot, servo_links(robot))
-    assert robot.robot.joint_names[link] == "wrist_roll"
+    assert link == "wrist_roll"
     assert point == pytest.approx([-0.0079, -0.000218, -0.0981274], abs=1e-6)

@@ -15,7 +15,7 @@ from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, S
 from daq.robot.loader import load_robot
 from ident.compiled.library import kernels
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
-from ident.servo.contact import Surface
+from ident.servo.contact import ServoContact
 from ident.servo.identify import _doubts, unexplained, verdict
 from ident.servo.result import ServoParameter
 from ident.servo.simulators.actuator_law import left_out, shaped_commands
@@ -188,7 +188,8 @@ def test_what_the_arm_touches_holds_it_up_in_mujoco_too(model):
     motion = model.identification.motions[0].between(0, 400)
     link = 4
     heights = links.heights(link, motion.position.T)[0][0]
-    touched = Surface(link, np.zeros(3), float(np.median(heights)), 2000.0)
+    name, height = links.model.link_names[link], float(np.median(heights))
+    touched = ServoContact(link=name, point=[0.0] * 3, height=height, stiffness=2000.0)
     text = servo_mjcf(model._robot, links, values, (), touched)
     free, held = (played_paths(given, links, [motion])[0] for given in (servo_mjcf(model._robot, links, values), text))
     assert links.heights(link, free.T)[0][0].min() < touched.height - 0.01
