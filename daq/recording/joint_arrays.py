@@ -164,7 +164,7 @@ def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, F
                 "position",
                 f"reaches {np.abs(column).max():.4g} {limits.unit('rad')} at joint {limits.name}, whose "
                 f"limits are {list(limits.position)} and {limits.velocity:g} per second: these are {unit}",
-                "give metres" if unit == "mm" else "give numpy.deg2rad(position)",
+                {"mm": "give metres", "degrees": "give numpy.deg2rad(position)"}.get(unit, "give rad (or m)"),
             )
     if "velocity" not in values:
         return

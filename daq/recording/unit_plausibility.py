@@ -23,8 +23,14 @@ in its column is up to 30 times a short travel."""
 BEYOND_SPEED = 25.0
 """Speed over its limit from which on positions are in degrees or millimetres: a wrong rate hardly makes so much."""
 
+COUNTS = 3.0
+"""The same in degrees or millimetres, from which on positions are in encoder counts."""
+
 SPEED_QUANTILE = 0.95
 """Quantile of the speeds that counts: encoders that wrap jump."""
+
+SEAM, MOST_SEAMS = 20.0, 0.05
+"""Departure of a displacement, over the median one, that is a jump's, and the share of such displacements at most."""
 
 _LAG = 5  # samples between which a speed is taken: noise of neighbours is none
 
@@ -35,15 +41,18 @@ def beyond_reach(position: FloatArray, limits: tuple[float, float]) -> bool:
 
 
 def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits) -> str | None:
-    """The unit of a joint's positions (N,) by its limits, "degrees" or "mm"; None where rad or m can be right."""
+    """The unit of a joint's positions (N,) by its limits: degrees, mm or counts; None where rad or m can be right."""
     if limits.sliding:
         far = float(np.abs(position).max(initial=0.0)) > BEYOND_TRAVEL * max(abs(limit) for limit in limits.position)
     else:
         far = bool(len(position)) and beyond_reach(position, limits.position)
     way, passed = (np.abs(position[_LAG:] - position[:-_LAG]), time[_LAG:] - time[:-_LAG])
     speeds = way[passed > 0] / passed[passed > 0]
-    fast = len(speeds) > 0 and float(np.quantile(speeds, SPEED_QUANTILE)) > BEYOND_SPEED * limits.velocity
-    return ("mm" if limits.sliding else "degrees") if far or fast else None
+    speed = float(np.quantile(speeds, SPEED_QUANTILE)) / limits.velocity if len(speeds) else 0.0
+    if not far and speed <= BEYOND_SPEED:
+        return None
+    unit, factor = ("mm", 1e3) if limits.sliding else ("degrees", DEGREES)
+    return unit if speed <= COUNTS * factor else "encoder counts"
 
 
 def near(ratio: float, expected: float) -> bool:
@@ -64,9 +73,21 @@ def displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatA
     moved, expected = np.diff(position[edges], axis=0), np.diff(integral[edges], axis=0)
     ratios: list[float | None] = []
     for actual, predicted in zip(moved.T, expected.T, strict=True):
+        actual, predicted = _without_seams(actual, predicted)
         energy, power = float(predicted @ predicted), float(actual @ actual)
         cross = float(actual @ predicted)
         norm = math.sqrt(energy) * math.sqrt(power)
         usable = 0 < norm < math.inf and math.isfinite(cross) and abs(cross) > CORRELATED * norm
         ratios.append(cross / energy if usable and energy > 0 else None)
     return ratios
+
+
+def _without_seams(actual: FloatArray, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Displacements (K,) without the few that leave the median ratio far: a joint jumps there, rows are missing."""
+    moving = np.abs(predicted) > 0.1 * np.abs(predicted).max(initial=0.0)
+    if not moving.any():
+        return actual, predicted
+    rest = np.abs(actual - float(np.median(actual[moving] / predicted[moving])) * predicted)
+    near = rest <= SEAM * float(np.median(rest))
+    few = np.count_nonzero(~near) <= MOST_SEAMS * len(near)
+    return (actual[near], predicted[near]) if few else (actual, predicted)

@@ -10,7 +10,7 @@ import numpy as np
 from daq.recording.quality.outliers import Cause, PositionJump
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.unit_plausibility import DEGREES, displacement_ratios
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -34,6 +34,14 @@ MOVES = 0.1
 
 MOST_SHOWN = 4
 """Jumps that a sentence lists."""
+
+FROZEN, FROZEN_ROWS, FROZEN_MOVES = 0.5, 20.0, 0.1
+"""Time [s] of one value from which on a motor signal stands still, in how many times the usual run of one value, and
+the part of its joint's range that the joint moves meanwhile."""
+
+WRAPPED, FEWEST_WRAPS, WRAP_LAG = 0.8, 3, 3
+"""Part of a signal's range that it jumps where it wraps, how often at least, and the samples before and after in which
+its joint does not reverse: there friction jumps, too."""
 
 MOST = 1e100
 """Greater values, whose squares overflow, are refused elsewhere."""
@@ -94,6 +102,8 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
                 "be a temperature or a voltage"
             )
             checks.append(raised("steady-torque", text))
+        if "position" in values:
+            checks += _motor_checks(stream.time, signal, joints, values[signal], values["position"], of)
         for one, other in combinations(range(len(joints)), 2):
             first, second = values[signal][:, one], values[signal][:, other]
             if np.array_equal(first, second) and np.ptp(first):
@@ -115,6 +125,58 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
             )
             checks.append(raised("position-velocity-exchanged", text, names))
     return checks
+
+
+def _motor_checks(
+    time: FloatArray, signal: str, joints: Sequence[str], values: FloatArray, position: FloatArray, of: str
+) -> list[Check]:
+    """Columns of a motor signal (N, n) that stand still while their joint moves, or that wrap."""
+    frozen = {joint: found for j, joint in enumerate(joints) if (found := _frozen(time, values[:, j], position[:, j]))}
+    checks = []
+    if frozen:
+        shown = [
+            f"{joint} from {time[a] - time[0]:.1f} to {time[b] - time[0]:.1f} s" for joint, (a, b) in frozen.items()
+        ]
+        text = (
+            f"{of}the {signal} stands still while its joint moves: {'; '.join(shown)}: its bus or sensor failed; "
+            "identify without this time (--start, --stop), or leave the joint's torque out (--torques-of)"
+        )
+        checks.append(raised("torque-frozen", text, frozen))
+    wraps = [joint for j, joint in enumerate(joints) if _wraps(values[:, j], position[:, j])]
+    if wraps:
+        text = (
+            f"{of}the {signal} of {', '.join(wraps)} jumps from one end of its range to the other: it overflows; "
+            "record it with more bits, or add its range where it jumps"
+        )
+        checks.append(raised("torque-wraps", text, wraps))
+    return checks
+
+
+def _frozen(time: FloatArray, values: FloatArray, position: FloatArray) -> tuple[int, int] | None:
+    """First and last sample of the longest run of one value, if it is far longer than most and no limit's."""
+    runs = true_runs(np.concatenate([values[1:] == values[:-1], [False]]))
+    if not runs:
+        return None
+    start, stop = max(runs, key=lambda run: run[1] - run[0])
+    lengths = np.ones(len(values))
+    for first, last in runs:
+        lengths[first : last + 1] = last - first + 1
+    others = np.delete(lengths, slice(start, stop + 1))
+    moved = float(np.ptp(position[start : stop + 1])) > FROZEN_MOVES * float(np.ptp(position))
+    clips = values[start] in (values.min(), values.max()) and np.sum(values == values[start]) > stop - start + 1
+    lasts = time[stop] - time[start] >= FROZEN and stop - start >= FROZEN_ROWS * np.median(others)
+    return (start, stop) if moved and lasts and not clips else None
+
+
+def _wraps(values: FloatArray, position: FloatArray) -> bool:
+    """Return whether a signal (N,) often jumps over all of its range, mostly away from its joint's reversals."""
+    change, span = np.abs(np.diff(values)), float(np.ptp(values))
+    jumps = np.flatnonzero(change > WRAPPED * span)
+    if not span > 0.0 or len(jumps) < FEWEST_WRAPS or np.quantile(change, 0.9) > 0.1 * span:
+        return False
+    before, after = (np.clip(jumps + shift, 0, len(values) - 1) for shift in (-WRAP_LAG, WRAP_LAG))
+    moved = (position[jumps] - position[before]) * (position[after] - position[jumps])
+    return bool(np.mean(moved > 0.0) > 0.5)
 
 
 def _is(signal: FloatArray, motion: FloatArray) -> bool:

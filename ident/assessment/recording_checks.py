@@ -17,7 +17,7 @@ from daq.recording.quality.stale_samples import fresh_recording, stale_rows
 from daq.recording.quality.stream_quality import StreamQuality, stream_quality
 from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording
 from daq.recording.repairs import DROP_REPEATS
-from daq.recording.unit_plausibility import displacement_ratios, other_unit
+from daq.recording.unit_plausibility import SPEED_QUANTILE, displacement_ratios, other_unit
 from drivers.core.text import counted, percent_text, percentage_text
 from ident.assessment.column_checks import column_checks, jump_checks
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE
@@ -47,6 +47,8 @@ VELOCITY_UNITS = {"rpm": np.pi / 30.0, "deg/s": np.pi / 180.0, "rev/s": 2.0 * np
 """Other units of velocity [rad/s]: factors that no unit of time stamps makes."""
 SAME_UNIT = 0.01
 """A factor within this share of a unit's is that unit's."""
+BEYOND_LIMITS = 3.0
+"""Speed over its limit, median of the joints, that no wrong stamps explain: velocities have another unit."""
 CLOCK_DRIFT = 1e-3
 """Drift [s/s] from which on a clock is wrong; quartz clocks drift by 1e-4 at most."""
 DRIFT_INTERVALS = 3.0
@@ -139,6 +141,7 @@ def recording_checks(
     stuck = {joint for check in stale if check.name == "encoder-stuck" for joint in check.joints}
     checks += time_axis_checks(recording, of, stuck)
     checks += stale + unit_checks(recording, of) + column_checks(recording, of)
+    frozen = {joint for check in checks if check.name == "torque-frozen" for joint in check.joints}
     for quantity, joints in unsigned_signals(recording).items():
         text = (
             f"{of}{quantity} never changes sign although it returns to 0 and the joints reverse ({', '.join(joints)}): "
@@ -150,7 +153,9 @@ def recording_checks(
         clipped = [
             column
             for column in qualities
-            if column.clipped_percent > CLIPPED_PERCENT and not column.filled_percent > FILLED_PERCENT
+            if column.clipped_percent > CLIPPED_PERCENT
+            and not column.filled_percent > FILLED_PERCENT
+            and column.name not in frozen
         ]
         if quantity in MOTOR_SIGNALS and clipped:
             figures = ", ".join(f"{column.name} {percentage_text(column.clipped_percent, 2)} %" for column in clipped)
@@ -330,6 +335,12 @@ def time_axis_checks(recording: Recording, of: str = "", stuck: Collection[str] 
             "convert them"
         )
         checks.append(raised("velocity-scale", text, axis.velocity_ratios))
+    elif axis.factor is not None and _faster_than_limits(recording, 1.0 / axis.factor):
+        text = (
+            f"{of}the recorded velocities of all joints are {1.0 / axis.factor:.4g} times the change of position per "
+            "time: they are the motors' (gear ratio), or have another unit than rad/s"
+        )
+        checks.append(raised("velocity-scale", text, axis.velocity_ratios))
     elif axis.factor is not None:
         text = (
             f"{of}in all joints, positions change {axis.factor:.4g} times as fast as recorded: unless the velocities "
@@ -352,3 +363,15 @@ def time_axis_checks(recording: Recording, of: str = "", stuck: Collection[str] 
             )
             checks.append(raised("clocks-drift", text))
     return checks
+
+
+def _faster_than_limits(recording: Recording, factor: float) -> bool:
+    """Return whether the joints would be far faster than they can be if they moved so many times as fast."""
+    if not recording.robot_text:
+        return False
+    stream = recording.streams[JOINTS_STREAM]
+    position, limits = stream.channels["position"], {one.name: one.velocity for one in recording.robot().robot.joints}
+    passed = np.diff(stream.time)
+    speeds = np.abs(np.diff(position.values, axis=0))[passed > 0] / passed[passed > 0, None]
+    most = np.array([limits.get(name, np.inf) for name in position.columns])
+    return bool(np.median(factor * np.quantile(speeds, SPEED_QUANTILE, axis=0) / most) > BEYOND_LIMITS)

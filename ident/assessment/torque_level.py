@@ -97,7 +97,8 @@ def torque_level_checks(robot_file: RobotFile, model: DynamicModel, torque: Floa
     if len(known) and np.max(known) < FAR_BELOW and not _carries_stated_masses(robot_file, model, peak):
         text = (
             f"torques reach at most {percent_text(float(np.max(known)), 2)} of the limits, too little for an arm: "
-            "check the unit of the current, and that the drive gains are on the joint side, gear ratio included"
+            "check the unit of the current, that the drive gains are on the joint side, gear ratio included, and that "
+            "no model's torque was taken off"
         )
         return [raised("torque-far-below-limits", text)]
     return _load_checks(names, model, peak)

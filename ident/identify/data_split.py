@@ -20,8 +20,18 @@ from ident.signals.copied_runs import copied_run
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
-from ident.signals.sample_hashes import HashArray, check_counted_once, overlap, sample_hashes
+from ident.signals.sample_hashes import HashArray, check_counted_once, kept_hashes, overlap, sample_hashes
 from ident.signals.segments import played_window
+
+MOVES, JUMBLED = 0.1, 0.5
+"""Range of positions [rad or m] from which on a joint moves, and its median change per row over their standard
+deviation that shows rows in disorder: independent rows make 0.9."""
+
+FASTEST = 500.0
+"""Median speed [rad/s or m/s] that no arm has; in degrees per second it is 9 rad/s."""
+
+LEAST_REPEATED = 0.3
+"""Share of the last part's samples that the first one holds, too, from which on it is not held out: appended data."""
 
 NOT_HELD_OUT = "NOT held out"
 """Stands in the name of a recording whose samples were used in the identification."""
@@ -220,6 +230,31 @@ def check_torques(runs: Sequence[RunWindow], torques: Sequence[int], names: Sequ
         )
 
 
+def check_motion(runs: Sequence[RunWindow], names: Sequence[str]) -> None:
+    """Refuse positions that are no motion: rows in another order than that of time, and encoder counts.
+
+    Raises:
+        DataError: such joints, by name.
+    """
+    for run in runs:
+        change, period = np.median(np.abs(np.diff(run.position, axis=0)), axis=0), np.median(np.diff(run.time))
+        moves = np.ptp(run.position, axis=0) > MOVES
+        jumbled = [names[n] for n in np.flatnonzero(moves & (change > JUMBLED * run.position.std(axis=0))).tolist()]
+        if jumbled:
+            raise DataError(
+                f"the positions of {', '.join(jumbled)} change from row to row as much as over the whole recording",
+                where=run.signals.label,
+                hint="the rows are not in the order of time: sort them by their stamps, not by another column",
+            )
+        fast = [names[n] for n in np.flatnonzero(change > FASTEST * period).tolist()]
+        if fast:
+            raise DataError(
+                f"by positions and stamps the speed of {', '.join(fast)} is beyond that of any arm",
+                where=run.signals.label,
+                hint="positions are in rad (or m), not in encoder counts; stamps are in s",
+            )
+
+
 def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
     """The window before the border, and the one behind it."""
     start = run.start or 0.0
@@ -235,4 +270,6 @@ def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
             f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
             hint="omit it to hold out the last 30 %",
         )
-    return replace(run, start=start, stop=border), replace(run, start=border)
+    first, last = replace(run, start=start, stop=border), replace(run, start=border)
+    repeated = overlap(last.hashes, [kept_hashes(first.hashes)])
+    return first, replace(last, overlap=repeated if repeated >= LEAST_REPEATED else 0.0)

@@ -25,7 +25,7 @@ from ident.estimators.torque_estimator import reduce_torques
 from ident.friction.terms import NO_TERMS
 from ident.identify.checks.body_checks import refuse_denied
 from ident.identify.checks.checks import identification_checks
-from ident.identify.data_split import PreparedRun, check_torques, split_data
+from ident.identify.data_split import PreparedRun, check_motion, check_torques, split_data
 from ident.identify.friction.extensions import low_speed_error
 from ident.identify.friction.fit import fit_friction
 from ident.identify.friction.shapes import with_curvature, with_free_shapes
@@ -77,6 +77,7 @@ def identify(  # noqa: PLR0915 — the steps, in their order
         check_arm([*recordings[1:], *validation], robot_file)
     model = apply_model_choices(build_model(robot_file), choices.model, robot_file.robot.friction)
     data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)
+    check_motion(data.identification, robot_file.robot.joint_names)
     if choices.model.experiment is not None:
         temperatures = [(run.signals.label, run.temperature) for run in data.identification]
         model, held = hold_temperatures(model, choices.model.experiment, temperatures)

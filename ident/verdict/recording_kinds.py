@@ -79,6 +79,22 @@ RECORDING = (
     ),
     CheckKind("same-column", "mistake", "serious", ALL, "two joints have the same torque", "Check the column names."),
     CheckKind(
+        "torque-frozen",
+        "mistake",
+        "serious",
+        ALL,
+        "a motor signal stands still while its joint moves",
+        "Identify without this time (--start, --stop), or leave this torque out (--torques-of).",
+    ),
+    CheckKind(
+        "torque-wraps",
+        "mistake",
+        "serious",
+        ALL,
+        "a motor signal overflows and goes on at the other end of its range",
+        "Record it with more bits, or add its range where it jumps.",
+    ),
+    CheckKind(
         "position-velocity-exchanged",
         "mistake",
         "serious",

@@ -53,6 +53,7 @@ class Kind:
         rotor: inertia of the motor over that of the link and all beyond it.
         encoder: step [rad or m].
         noise: of the torque, over its root mean square.
+        coupling: motor, and another joint that turns it, too, by a factor of 1.
     """
 
     rows: tuple[tuple[float, ...], ...]
@@ -62,6 +63,7 @@ class Kind:
     rotor: float = 0.3
     encoder: float = 2e-5
     noise: float = 0.02
+    coupling: tuple[tuple[int, int], ...] = ()
 
 
 SIX = ((0, 0, 0.15, 0), (-RIGHT, 0, 0.12, 0), (0, 0.42, 0, 0), (RIGHT, 0.02, 0.38, 0), (-RIGHT, 0, 0, 0),
@@ -89,6 +91,16 @@ KINDS = {
     "torso": Kind(
         ((0, 0, 0.5, 0), (RIGHT, 0.2, 0.1, 0), (0, 0.25, 0, 0), (0, 0.22, 0, 0), (-RIGHT, 0.2, 0.1, 0, 0),
          (0, 0.25, 0, 0), (0, 0.22, 0, 0)), (20.0, 3.0, 2.0, 1.0, 3.0, 2.0, 1.0)),
+    "table": Kind(
+        ((0, 0, 0.09, 0), (-RIGHT, 0.02, 0, 0), (0, 0.16, 0, 0), (0, 0.15, 0, 0), (RIGHT, 0, 0.05, 0)),
+        (0.9, 0.8, 0.5, 0.25, 0.15), friction=0.35, rotor=0.4, encoder=4e-4, noise=0.03),
+    "stacker": Kind(
+        ((0, 0, 1.0, 0), (-RIGHT, 0.4, 0, 0), (0, 1.25, 0, 0), (0, 1.4, 0, 0)), (700.0, 420.0, 330.0, 90.0),
+        friction=0.12, rotor=0.8, encoder=5e-6, coupling=((2, 1),)),
+    "spherical": Kind(
+        ((0, 0, 0.4, 0), (-RIGHT, 0, 0.1, 0), (RIGHT, 0, 0, 1), (0, 0, 0.3, 0), (-RIGHT, 0, 0, 0), (RIGHT, 0, 0.1, 0)),
+        (12.0, 10.0, 6.0, 2.0, 1.5, 0.6), friction=0.15),
+    "wrist": Kind(SIX, (30.0, 45.0, 25.0, 9.0, 6.0, 2.5), friction=0.2, rotor=0.6, coupling=((5, 4),)),
 }  # fmt: skip
 
 
@@ -124,7 +136,8 @@ def arm(name: str) -> RobotFile:
                        "acceleration": 5.0 * speed})  # fmt: skip
     content: dict[str, Any] = {
         "name": name,
-        "model": {"mdh": rows, "gravity": list(kind.gravity), "mounting": "free"},
+        "model": {"mdh": rows, "gravity": list(kind.gravity), "mounting": "free",
+                  "coupling": {names[m]: {names[m]: 1.0, names[n]: 1.0} for m, n in kind.coupling}},
         "joints": joints,
         "drives": [{"joint": one, "signal": "torque", "inertia": True} for one in names],
         "truth": {

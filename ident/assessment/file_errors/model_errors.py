@@ -385,7 +385,7 @@ _REMEDIES: dict[Kind, str] = {
     "gain": "check the gain (one left at 1 gives amperes), or identify the gains with a known load (dynid gains)",
     "gains": "check the torques' unit (N·m, not percent of each joint's rated torque) and all drive gains",
     "length": "check this length",
-    "scale": "check that the file is for this arm, not for another size",
+    "scale": "check that the file is for this arm, not for another size, and the stamps' unit and rate",
     "lengths": "check these lengths, and that the file belongs to this arm",
     "zero": "compare the encoder's zero with the robot file's",
     "late": "check how this joint's position was read and stamped",
@@ -415,7 +415,9 @@ def _clause(model: DynamicModel, one: Deviation) -> str:
         size = f"{1e3 * one.value:.0f} ± {1e3 * between:.0f} ms"
         return f"the position of {model.joint_names[one.unknown.joint]} {size} behind its torque and all other signals"
     if one.unknown.kind == "scale":
-        return f"all lengths of the robot file multiplied by {1.0 + one.value:.3f} ± {between:.3f}"
+        stamps = float(np.exp(-0.5 * np.log1p(one.value)))
+        size = f"{1.0 + one.value:.3f} ± {between:.3f}"
+        return f"all lengths of the robot file multiplied by {size}, or all time stamps by {stamps:.3f}"
     if one.unknown.kind == "length":
         return _origin(model, one.unknown, one.value, between)
     if one.unknown.kind == "lengths":

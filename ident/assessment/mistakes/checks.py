@@ -22,6 +22,7 @@ from ident.assessment.mistakes.changes import Changes, change_check
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.hypotheses import Mistake
 from ident.assessment.mistakes.ripple import ripple_checks
+from ident.assessment.mistakes.shifts import shift_check
 from ident.assessment.mistakes.switches import switch_check
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.model.base_parameters import BaseParameters
@@ -77,6 +78,9 @@ def mistake_checks(
     if found:
         axes = all(one.name == "joint-sign" for one in found)  # a neighbour that is turned over looks the same
         return [_check(model, found, _equal_turns(competition, refit, found[0]) if axes else ())]
+    misplaced = shift_check(competition) if not well else []
+    if misplaced:
+        return misplaced
     changes = Changes(model, experiment, base, whole, solution) if whole else None
     changed = None if changes is None else changes.best()
     if changes is not None and changed is not None:
@@ -164,7 +168,9 @@ def _clause(model: DynamicModel, one: Mistake) -> str:
         names = ", ".join(model.joint_names[joint] for joint in one.joints)
         return f"the columns of {names} hold {_IN_COLUMNS[one.signal]} of {held}, in this order"
     names = " and ".join(model.joint_names[joint] for joint in one.joints)
-    clause = _CLAUSES[one.name].format(joints=names)
+    factor, torque = 1.0 / np.prod(one.positions.factor), 1.0 / np.prod(one.torques.factor)
+    too = f" and its torque {torque:.3g} times" if torque != 1.0 else ""
+    clause = _CLAUSES[one.name].format(joints=names, factor=factor, too=too)
     return clause.replace("the torque of", "each torque of") if one.name == "torque-sign" and one.joints[1:] else clause
 
 
@@ -174,6 +180,8 @@ EQUAL = 0.1
 _IN_COLUMNS = {"torque": "the torques", "position": "the positions", "both": "positions and torques"}
 _CLAUSES = {
     "motors-coupled": "the motors of {joints} are coupled",
+    "time-reversed": "time runs backwards: friction drives the motion",
+    "position-scaled": "the position of {joints} is {factor:.3g} times its own{too}",
     "gravity-opposite": "gravity has the opposite sign",
     "gravity-missing": "the torques hold no gravity",
     "torques-opposite": "all torques have the opposite sign",
@@ -196,5 +204,7 @@ _REMEDIES = {
     "torques-exchanged": "check the order of the torque or current columns",
     "positions-exchanged": "check the order of the position columns",
     "joints-exchanged": "check the order of the columns, and of the joints in the robot file",
+    "time-reversed": "check the order of the rows and their stamps",
+    "position-scaled": "check its gear ratio and encoder counts",
     "motors-coupled": "state it under `model.coupling` of the robot file",
 }

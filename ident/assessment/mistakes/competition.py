@@ -18,7 +18,15 @@ from ident.assessment.file_errors.unknowns import Deviation, in_unknown_gravity
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints, on_active
 from ident.assessment.mistakes.equations import Equations, HypothesisFit, equations
-from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, couplings, mistakes, other_gravity
+from ident.assessment.mistakes.hypotheses import (
+    Mistake,
+    as_recorded,
+    couplings,
+    mistakes,
+    other_gravity,
+    ratios,
+    reversed_time,
+)
 from ident.friction.table import RUBBING_KINDS
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -108,9 +116,12 @@ class Competition:
         """Equations with a mistake's positions and gravity, and their conditions (c, a)."""
         coupled = (mistake.joints, mistake.coupling, mistake.signal) if mistake.coupling else None
         kernel = self._in_gravity.get(mistake.name, self._kernel)
-        key = mistake.positions, kernel, coupled
+        backwards = mistake.name == "time-reversed"
+        key = mistake.positions, kernel, coupled, backwards
         if key not in self._equations:
             moved = self.instants.with_positions(mistake.positions)
+            if backwards:
+                moved = replace(moved, velocity=-moved.velocity, friction=None)
             if mistake.coupling and mistake.signal == "both":
                 moved = moved.less(mistake.joints[0], mistake.joints[1], mistake.coupling)
             regressor = moved.regressor(kernel)
@@ -261,7 +272,8 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     if well:  # inertia and friction may hide that gravity is missing
         tried = tried[:1] if np.max(recorded.relative) > DOUBTFUL**2 else []
     else:
-        tried = [*mistakes(competition.model.dof, competition.joints), *tried]
+        count, joints = competition.model.dof, competition.joints
+        tried = [*mistakes(count, joints), *ratios(count, joints), reversed_time(count), *tried]
     found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
         found = []

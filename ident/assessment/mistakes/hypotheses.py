@@ -1,4 +1,4 @@
-"""Mistakes of sign and of column that recordings have, each as columns to take instead."""
+"""Mistakes of sign, of column and of a factor that recordings have, each as columns to take instead."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Literal
 
 from ident.assessment.instants import Columns
 
-Signal = Literal["torque", "position", "both", "gravity"]
+Signal = Literal["torque", "position", "both", "gravity", "time"]
 
 MOST_JOINTS = 7
 """Joints up to which every pattern of the torques' signs is tried; of more joints two wrong signs at most."""
+
+RATIOS = (0.5, 0.8, 1.25, 2.0)
+"""Factors on a position, as of a gear ratio that is wrong, that are tried."""
 
 FARTHEST = 2
 """Joints between whose motors a coupling is sought, at most so far from each other, in arms of more joints than that;
@@ -49,6 +52,28 @@ def other_gravity(count: int) -> list[Mistake]:
     """Torques without gravity, and gravity of the opposite sign; the columns as recorded."""
     names = ("gravity-missing", "gravity-opposite")
     return [Mistake(name, "gravity", (), _kept(count), _kept(count)) for name in names]
+
+
+def reversed_time(count: int) -> Mistake:
+    """Rows from the last one to the first: torques but those of friction are the same."""
+    return Mistake("time-reversed", "time", (), _kept(count), _kept(count))
+
+
+def ratios(count: int, joints: Sequence[int]) -> list[Mistake]:
+    """A position, or position and torque, of another gear ratio than its motor's."""
+    kept, found = _kept(count), []
+    for joint in joints:
+        for ratio in RATIOS:
+            position, torque = (_times(count, joint, factor) for factor in (ratio, 1.0 / ratio))
+            found += [
+                Mistake("position-scaled", "position", (joint,), kept, position),
+                Mistake("position-scaled", "both", (joint,), torque, position),
+            ]
+    return found
+
+
+def _times(count: int, joint: int, factor: float) -> Columns:
+    return Columns(tuple(range(count)), tuple(factor if n == joint else 1.0 for n in range(count)))
 
 
 def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:

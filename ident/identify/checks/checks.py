@@ -104,7 +104,7 @@ def identification_checks(identification: Identification) -> list[Check]:
         mistake
         for mistake in mistakes
         if not (mistake.name in (*MODEL_ERRORS, "recording-changes") and clipped.intersection(mistake.joints))
-        and not (mistake.name == "position-late" and resting.intersection(mistake.joints))
+        and not (mistake.name == "position-late" and (resting.intersection(mistake.joints) or _rows_missing(checks)))
         and not (mistake.name in MODEL_ERRORS and mistake.name != "position-late" and idle)
     ]
     checks += reversal_checks(identification)
@@ -152,6 +152,11 @@ def _body_checks(identification: Identification, checks: Sequence[Check], *, nam
     # Bodies that the robot file states against the data, or the arm's size, have a wrong weight and place, too.
     follow |= {"implausible-link", "implausible-centre"} if consistent.contradicted or stated else set()
     return [*stated, *(check for check in bodies if check.name not in follow)]
+
+
+def _rows_missing(checks: Sequence[Check]) -> bool:
+    """Whether rows are missing, so that a segment may fit at another time than its own."""
+    return any(check.name == "rows-missing" for check in checks)
 
 
 def _weight_checks(identification: Identification) -> list[Check]:

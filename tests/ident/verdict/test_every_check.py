@@ -250,6 +250,14 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.clean_names(),
     ),
     "same-column": (lambda b: b.names(changed(b.recorded(), lambda i: i[:, [0, 1, 0]])), lambda b: b.clean_names()),
+    "torque-frozen": (
+        lambda b: b.names(changed(b.recorded(), lambda i: np.r_[i[:400], i[[400] * 200], i[600:]])),
+        lambda b: b.clean_names(),
+    ),
+    "torque-wraps": (
+        lambda b: b.names(changed(b.recorded(), lambda i: i % (0.5 * np.ptp(i, axis=0)))),
+        lambda b: b.clean_names(),
+    ),
     "position-velocity-exchanged": (
         lambda b: b.names(exchanged_with_velocity(with_velocity(b.recorded()))),
         lambda b: b.names_with_velocity(),
@@ -361,6 +369,20 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "lengths-unchecked": (lambda b: b.tested(b.recorded(1, 30.0, (1, 0, 0))), lambda b: b.clean()),
     "wrong-gain": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, 1, 20])), lambda b: b.clean()),
     "other-size": (lambda b: b.of_another_size(1.25), lambda b: b.clean()),
+    "position-scaled": (
+        lambda b: b.tested(
+            changed(changed(b.recorded(), lambda q: q * [1, 2, 1], "position"), lambda i: i * [1, 0.5, 1])
+        ),
+        lambda b: b.clean(),
+    ),
+    "time-reversed": (
+        lambda b: b.tested(changed(changed(b.recorded(), lambda q: q[::-1], "position"), lambda i: i[::-1])),
+        lambda b: b.clean(),
+    ),
+    "torque-shifted": (
+        lambda b: b.tested(changed(b.recorded(), lambda i: np.where([0, 1, 0], np.roll(i, 100, axis=0), i))),
+        lambda b: b.late(),
+    ),
     "motors-coupled": (lambda b: b.tested(changed(b.recorded(), coupled)), lambda b: b.clean()),
     "inconsistent-length": (
         lambda b: b.tested(robot_file=b.said({"alpha: 0, d: 0.4, r: 0.1": "alpha: 0, d: 0.45, r: 0.1"})),
