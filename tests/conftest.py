@@ -274,6 +274,16 @@ def clock() -> Iterator[SimulatedClock]:
         yield clock
 
 
+@pytest.fixture
+def run_dynid(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Calls the command with arguments in this process: exit status, standard output, standard error."""
+    import command_line
+
+    return functools.partial(command_line.run, monkeypatch, capsys)
+
+
 @pytest.fixture(autouse=True)
 def no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """Standard error has no line about a step that is slow because this computer is busy."""

@@ -12,7 +12,6 @@ from importlib import import_module
 from typing import TextIO
 
 import pytest
-from command_line import run
 from each import each
 
 from daq.commands.app import app as daq_commands
@@ -39,50 +38,50 @@ def test_help_imports_nothing_heavy():
         assert name in done.stdout
 
 
-def test_a_date_of_sources_that_is_no_number_breaks_nothing(monkeypatch, capsys):
+def test_a_date_of_sources_that_is_no_number_breaks_nothing(run_dynid, monkeypatch):
     """NumPy's f2py, which SciPy imports, would end in a traceback over it."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
-    assert run(monkeypatch, capsys, "--version")[0] == 0
+    assert run_dynid("--version")[0] == 0
     assert "SOURCE_DATE_EPOCH" not in os.environ
 
 
-def test_every_command_has_help_with_an_example(monkeypatch, capsys):
+def test_every_command_has_help_with_an_example(run_dynid):
     for name in ("robot", "import", "check", "info", "identify", "validate", "demo"):
-        status, out, _ = run(monkeypatch, capsys, name, "--help")
+        status, out, _ = run_dynid(name, "--help")
         assert status == 0
         assert "Example: dynid" in out
 
 
-def test_version(monkeypatch, capsys):
-    status, out, _ = run(monkeypatch, capsys, "--version")
+def test_version(run_dynid):
+    status, out, _ = run_dynid("--version")
     assert status == 0
     assert out.startswith("dynid 0.")
 
 
-def test_bare_dynid_shows_commands_by_group_with_whole_summaries(monkeypatch, capsys):
-    status, out, err = run(monkeypatch, capsys)
+def test_bare_dynid_shows_commands_by_group_with_whole_summaries(run_dynid):
+    status, out, err = run_dynid()
     assert (status, err) == (0, "")
     places = [out.index(f"\n{group}:\n") for group in GROUPS]
     assert places == sorted(places)
     assert "..." not in out.partition("Robot:")[2]
-    assert run(monkeypatch, capsys, "-h")[:2] == (0, out)
+    assert run_dynid("-h")[:2] == (0, out)
 
 
-def test_common_options_come_before_the_panels(monkeypatch, capsys):
-    _, out, _ = run(monkeypatch, capsys, "identify", "-h")
+def test_common_options_come_before_the_panels(run_dynid):
+    _, out, _ = run_dynid("identify", "-h")
     order = ["\nOptions:", "--friction ", "\nModel:", "--friction-from", "\nSignals:", "--delay"]
     assert [out.index(text) for text in order] == sorted(out.index(text) for text in order)
 
 
-def test_version_with_verbose_names_what_a_bug_report_needs(monkeypatch, capsys):
-    status, out, _ = run(monkeypatch, capsys, "--version", "--verbose")
+def test_version_with_verbose_names_what_a_bug_report_needs(run_dynid):
+    status, out, _ = run_dynid("--version", "--verbose")
     assert status == 0
     assert {"dynid", "Python", "numpy", "pin", "compiled"} <= {line.split()[0] for line in out.splitlines()}
 
 
-def test_an_error_names_dynid_once(monkeypatch, capsys):
-    assert run(monkeypatch, capsys, "--nope")[2] == "dynid: No such option: --nope (see dynid --help)\n"
-    assert run(monkeypatch, capsys, "identify")[2].startswith("dynid: identify: Missing argument 'recordings' (see ")
+def test_an_error_names_dynid_once(run_dynid):
+    assert run_dynid("--nope")[2] == "dynid: No such option: --nope (see dynid --help)\n"
+    assert run_dynid("identify")[2].startswith("dynid: identify: Missing argument 'recordings' (see ")
 
 
 @pytest.mark.parametrize(
@@ -95,7 +94,7 @@ def test_an_error_names_dynid_once(monkeypatch, capsys):
         ("mer", ["merge"]),
     ],
 )
-def test_tab_completes(monkeypatch, capsys, tmp_path, words, expected):
+def test_tab_completes(run_dynid, monkeypatch, tmp_path, words, expected):
     (tmp_path / "arms").mkdir()
     (tmp_path / "arms" / "mine.yaml").touch()
     (tmp_path / "run.h5").touch()
@@ -103,20 +102,20 @@ def test_tab_completes(monkeypatch, capsys, tmp_path, words, expected):
     monkeypatch.setenv("_DYNID_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", f"dynid {words}")
     monkeypatch.setenv("COMP_CWORD", str(len(words.split(" "))))
-    assert run(monkeypatch, capsys)[1].split() == expected
+    assert run_dynid()[1].split() == expected
 
 
 @each("arguments", [["idntify"], ["identify"], ["info", "--nope"], ["robot", "show"], ["info", "--rate"]])
-def test_bad_usage_is_one_line_and_exit_2(monkeypatch, capsys, arguments):
-    status, out, err = run(monkeypatch, capsys, *arguments)
+def test_bad_usage_is_one_line_and_exit_2(run_dynid, arguments):
+    status, out, err = run_dynid(*arguments)
     assert status == 2
     assert out == ""
     assert err.startswith("dynid:")
     assert len(err.strip().splitlines()) == 1
 
 
-def test_bad_usage_with_json_is_an_object(monkeypatch, capsys):
-    status, out, err = run(monkeypatch, capsys, "info", "--json")
+def test_bad_usage_with_json_is_an_object(run_dynid):
+    status, out, err = run_dynid("info", "--json")
     assert status == 2
     assert err == ""
     assert set(json.loads(out)) == {"error", "where", "hint"}
@@ -125,12 +124,12 @@ def test_bad_usage_with_json_is_an_object(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("error", "status"), [(DataError("bad", where="x", hint="y"), 2), (IdentificationError("no"), 1)]
 )
-def test_errors_become_exit_statuses(monkeypatch, capsys, error, status):
+def test_errors_become_exit_statuses(run_dynid, monkeypatch, error, status):
     def fail() -> None:
         raise error
 
     monkeypatch.setattr(command, "build_app", lambda word: lambda **_: fail())
-    assert run(monkeypatch, capsys, "anything")[0] == status
+    assert run_dynid("anything")[0] == status
 
 
 def test_error_text_is_one_line():
@@ -138,22 +137,22 @@ def test_error_text_is_one_line():
     assert str(error) == "file .h5: first second (do this)"
 
 
-def test_interrupt_exits_130(monkeypatch, capsys):
+def test_interrupt_exits_130(run_dynid, monkeypatch):
     def interrupted(**_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "build_app", lambda word: interrupted)
-    status, _, err = run(monkeypatch, capsys, "anything")
+    status, _, err = run_dynid("anything")
     assert (status, err) == (130, "dynid: interrupted\n")
 
 
-def test_a_broken_third_party_package_is_named_and_left_out(monkeypatch, capsys):
+def test_a_broken_third_party_package_is_named_and_left_out(run_dynid, monkeypatch):
     from importlib.metadata import EntryPoint
 
     broken = EntryPoint("broken", "no_such_package.commands:app", command.COMMANDS_GROUP)
     known = list(command.entry_points(group=command.COMMANDS_GROUP))
     monkeypatch.setattr(command, "entry_points", lambda group: [broken, *known])
-    status, out, err = run(monkeypatch, capsys, "robots")
+    status, out, err = run_dynid("robots")
     assert status == 0
     assert "ur5e" in out
     assert "no_such_package.commands:app could not be loaded" in err
@@ -172,17 +171,17 @@ HOSTILE = "arm\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"
     "arguments", [["info", HOSTILE], ["check", HOSTILE], ["identify", HOSTILE], [HOSTILE], ["info", f"--{HOSTILE}"]]
 )
 @pytest.mark.parametrize("as_json", [False, True])
-def test_what_was_given_commands_no_terminal(monkeypatch, capsys, arguments, as_json):
-    status, out, err = run(monkeypatch, capsys, *arguments, *(["--json"] if as_json else []))
+def test_what_was_given_commands_no_terminal(run_dynid, arguments, as_json):
+    status, out, err = run_dynid(*arguments, *(["--json"] if as_json else []))
     assert status == 2
     assert not set("\x1b\x07\x9b\u202e") & set(out + err)
     assert "1b" in out + err
 
 
-def test_what_a_file_says_commands_no_terminal(monkeypatch, capsys, tmp_path):
+def test_what_a_file_says_commands_no_terminal(run_dynid, tmp_path):
     path = tmp_path / f"{HOSTILE.replace('/', '')}.yaml"
     path.write_text('name: "a\\e[2J"\nmodel: {mdh: [{joint: "j\\e[31m", antecedent: "b\\a"}]}\n"k\\e[5m": 1\n')
-    status, out, err = run(monkeypatch, capsys, "check", str(path))
+    status, out, err = run_dynid("check", str(path))
     assert status == 2
     assert not set("\x1b\x07\x9b\u202e") & set(out + err)
 

@@ -123,13 +123,13 @@ def test_bad_options_are_refused_in_one_line(runs, options, message):
     assert "\n" not in str(refused.value)
 
 
-def test_the_command_writes_figures_and_page_and_never_over_its_input(monkeypatch, capsys, tmp_path, runs):
+def test_the_command_writes_figures_and_page_and_never_over_its_input(run_dynid, monkeypatch, tmp_path, runs):
     monkeypatch.chdir(tmp_path)
     for number, run in enumerate(runs[:3]):
         dynid.write_recording(f"run{number}.h5", run)
 
     def call(*arguments: str) -> tuple[int, str]:
-        status, out, err = command_line.run(monkeypatch, capsys, "compare", *arguments)
+        status, out, err = run_dynid("compare", *arguments)
         return status, out + err
 
     files = ("run0.h5", "--validate", "run1.h5", "--validate", "run2.h5")

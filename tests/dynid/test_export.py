@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
-import command_line
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -94,15 +94,17 @@ def test_friction_without_a_value_is_refused_unless_the_robot_file_knows_it(mode
     dynid.Model(Result.model_validate(content)).export_ros2_inertial(tmp_path / "arm.yaml")
 
 
-def run(capsys, monkeypatch, *arguments: object) -> tuple[int, str, str]:
-    return command_line.run(monkeypatch, capsys, "export", *arguments)
+@pytest.fixture
+def export(run_dynid):
+    """Calls `dynid export`."""
+    return partial(run_dynid, "export")
 
 
-def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved, tmp_path, capsys, monkeypatch):
+def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved, tmp_path, export):
     pytest.importorskip("mujoco")
     targets = {"--urdf": "arm.urdf", "--mjcf": "arm.xml", "--ros2-inertial": "arm.yaml"}
     options = [word for option, name in targets.items() for word in (option, tmp_path / name)]
-    status, out, _ = run(capsys, monkeypatch, saved, *options, "--json")
+    status, out, _ = export(saved, *options, "--json")
     assert status == 0
     content = json.loads(out)
     assert [one["path"] for one in content["files"]] == [str(tmp_path / name) for name in targets.values()]
@@ -110,7 +112,7 @@ def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved,
     assert [reading["reader"].split()[0] for reading in urdf["readings"]] == ["Pinocchio", "MuJoCo"]
     assert [one["motion"] for one in mjcf["readings"][0]["simulations"]] == ["unpowered", "tracking"]
     assert content["simulation"]["grade"] in ("good", "usable", "poor")
-    status, out, _ = run(capsys, monkeypatch, saved, *options, "--force")
+    status, out, _ = export(saved, *options, "--force")
     assert status == 0
     assert "not in it: motor inertia" in out
     assert "for simulation: " in out
@@ -131,15 +133,13 @@ def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved,
         (["--urdf", "{folder}/a.urdf", "--into", "{folder}/other.urdf"], "which is not a movable joint of the URDF"),
     ],
 )
-def test_bad_input_is_refused_in_a_line_and_nothing_is_written(
-    saved, tmp_path, capsys, monkeypatch, arguments, message
-):
+def test_bad_input_is_refused_in_a_line_and_nothing_is_written(saved, tmp_path, export, arguments, message):
     (tmp_path / "mine.urdf").write_text("mine")
     (tmp_path / "other.urdf").write_text(
         '<robot name="other"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
         '<child link="b"/></joint></robot>'
     )
-    status, _, err = run(capsys, monkeypatch, saved, *(word.format(folder=tmp_path) for word in arguments))
+    status, _, err = export(saved, *(word.format(folder=tmp_path) for word in arguments))
     assert status == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1

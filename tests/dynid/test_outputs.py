@@ -7,7 +7,6 @@ import shlex
 from importlib.resources import files
 from pathlib import Path
 
-import command_line
 import pytest
 from typer.main import get_command
 
@@ -89,10 +88,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def refused(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *more: str) -> str:
-    status, out, err = command_line.run(monkeypatch, capsys, *name.split(), *shlex.split(ARGUMENTS[name]), *more)
-    assert (status, out) == (2, ""), err
-    return err
+@pytest.fixture
+def refused(run_dynid):
+    """Calls a command by its name, and with more arguments than those of the table: what it refuses."""
+
+    def call(name: str, *more: str) -> str:
+        status, out, err = run_dynid(*name.split(), *shlex.split(ARGUMENTS[name]), *more)
+        assert (status, out) == (2, ""), err
+        return err
+
+    return call
 
 
 def writing_commands() -> set[str]:
@@ -116,19 +121,19 @@ def test_every_command_that_writes_is_tested_here():
 
 
 @pytest.mark.parametrize(("name", "output"), [(name, output) for name in ARGUMENTS for output in outputs_of(name)])
-def test_an_output_is_neither_an_input_nor_a_file_that_exists(folder, monkeypatch, capsys, name, output):
+def test_an_output_is_neither_an_input_nor_a_file_that_exists(folder, refused, name, output):
     path = Path(output)
     path.write_text("mine")
-    assert f"{output}: exists already" in refused(name, monkeypatch, capsys)
+    assert f"{output}: exists already" in refused(name)
     for source in inputs_of(name):
         path.unlink()
         path.hardlink_to(source)
         before = path.read_bytes()
-        assert f"{output}: is an input of this command" in refused(name, monkeypatch, capsys, "--force")
+        assert f"{output}: is an input of this command" in refused(name, "--force")
         assert Path(source).read_bytes() == before
     path.unlink()
     path.symlink_to("nothing")
-    assert f"{output}: is a link" in refused(name, monkeypatch, capsys, "--force")
+    assert f"{output}: is a link" in refused(name, "--force")
     path.unlink()
     os.mkfifo(path)  # as a device is
-    assert f"{output}: is not a regular file" in refused(name, monkeypatch, capsys, "--force")
+    assert f"{output}: is not a regular file" in refused(name, "--force")

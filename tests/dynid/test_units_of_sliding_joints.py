@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
 
 import dynid
 from daq.commands.confirmation import Confirmation
@@ -93,12 +92,12 @@ def turning_units(folder: Path, text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_of_commands(arm, name, monkeypatch, capsys):
+def test_of_commands(arm, name, run_dynid, monkeypatch):
     if name == "compare" and arm.name.startswith("revolute"):
         return  # an identification more, whose tables have no row per joint
     monkeypatch.chdir(arm)
     before = set(arm.rglob("*"))
-    status, out, err = run(monkeypatch, capsys, *COMMANDS[name].split())
+    status, out, err = run_dynid(*COMMANDS[name].split())
     assert status == (1 if name == "validate" else 0), err
     assert turning_units(arm, out) == []
     for path in set(arm.rglob("*")) - before:

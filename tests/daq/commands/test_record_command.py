@@ -30,7 +30,6 @@ from daq.recording.recover import follow_recording, half_written
 from drivers import declaration
 from drivers.canopen402.declaration import DECLARATION as DRIVES
 from drivers.core.errors import RecordingError
-from dynid import command
 
 TRAJECTORY = {
     "robot": "two-links",
@@ -62,18 +61,10 @@ def bench(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def dynid(clock, monkeypatch, capsys):
+def dynid(clock, monkeypatch, run_dynid):
     """The command in simulated time."""
     monkeypatch.setattr("drivers.core.clock.SYSTEM_CLOCK", clock)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-        with pytest.raises(SystemExit) as left:
-            command.main()
-        out, err = capsys.readouterr()
-        return left.value.code, out, err
-
-    return run
+    return run_dynid
 
 
 @pytest.mark.parametrize("as_json", [False, True])

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
-from command_line import run
 from each import each
 from kinematic_arm import KinematicArm
 
@@ -136,12 +135,12 @@ def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
     assert re.search(r"connections\.bus: .*nodes\.j3\.id", str(problem))
 
 
-def test_the_command_prints_the_budget(monkeypatch, capsys):
-    status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--verbose")
+def test_the_command_prints_the_budget(run_dynid):
+    status, out, _ = run_dynid("check", "ur5e", "--verbose")
     assert status == 0
     assert "connection canopen: bus load 30.8 % (1000 kbit/s) at 125 Hz" in out
     assert "6 × TPDO2 (8 bytes)" in out
-    status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--json")
+    status, out, _ = run_dynid("check", "ur5e", "--json")
     budget = json.loads(out)["budgets"]["canopen"]
     assert budget["load_percent"] == pytest.approx(30.8275)
     assert budget["highest_rate_at_80_percent_hz"] == pytest.approx(333, abs=1)
@@ -220,22 +219,22 @@ def test_drives_are_not_prepared_for_a_motion(monkeypatch):
         assert seen[-1].get("reset_faults", False) is asked
 
 
-def test_wire_without_connect_is_refused(monkeypatch, capsys):
+def test_wire_without_connect_is_refused(run_dynid):
     for options in (("--wire", "rtde"), ("--reset-faults",)):
-        status, _, err = run(monkeypatch, capsys, "check", "ur5e", *options)
+        status, _, err = run_dynid("check", "ur5e", *options)
         assert status == 2
         assert "add --connect" in err
 
 
-def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers, clock):
+def test_the_command_shows_what_answered(run_dynid, monkeypatch, tmp_path, three_joint, drivers, clock):
     monkeypatch.setattr("drivers.core.clock.SYSTEM_CLOCK", clock)
     (tmp_path / "arm.yaml").write_text(three_joint.text + BENCH.split("  lost")[0])
-    status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect", "--verbose")
+    status, out, _ = run_dynid("check", str(tmp_path / "arm.yaml"), "--connect", "--verbose")
     assert status == 0
     assert "connection bench (bench) answers" in out
     assert "joint j1, firmware 1.0, rated current 5, rated torque 50" in out
     assert "position [rad]" in out
-    status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect", "--json")
+    status, out, _ = run_dynid("check", str(tmp_path / "arm.yaml"), "--connect", "--json")
     content = json.loads(out)
     assert content["connections"][0]["streams"][0]["first"]["position"]["j2"] == 3.5
     assert content["connections"][0]["streams"][0]["rate_hz"] == pytest.approx(200.0)

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from command_line import run
 
 from daq.robot.loader import builtin_robots
 from drivers.core.errors import RobotFileError
@@ -83,15 +82,15 @@ def test_built_in_arms_have_no_errors() -> None:
     assert not wrong
 
 
-def test_the_command_says_whom_to_trust(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_the_command_says_whom_to_trust(tmp_path: Path, run_dynid) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(urdf(BODY.replace("0.005", "0.5")))
-    status, out, _ = run(monkeypatch, capsys, "lint", path)
+    status, out, _ = run_dynid("lint", path)
     assert status == 1
     assert out.splitlines()[0].startswith("error: l2: no body has the principal moments")
     assert out.splitlines()[-1] == "no controller can trust: l2"
     assert all(line.count(": ") >= 2 for line in out.splitlines()[:-2])
-    status, out, _ = run(monkeypatch, capsys, "lint", "ur5e", "--json")
+    status, out, _ = run_dynid("lint", "ur5e", "--json")
     assert (status, json.loads(out)["untrusted"]) == (0, [])
     path.write_text(
         '<robot name="a"><link name="b"/><link name="c"/><joint name="j" type="continuous">'

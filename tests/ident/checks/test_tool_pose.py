@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from functools import partial
 
 import numpy as np
 import pytest
-from command_line import run
 from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import load_robot, parse_robot
@@ -64,9 +62,9 @@ def test_a_pose_beyond_the_limits_names_the_joints(three_joint) -> None:
 
 
 @pytest.fixture
-def dynid(monkeypatch, capsys, tmp_path):
+def dynid(run_dynid, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    return partial(run, monkeypatch, capsys)
+    return run_dynid
 
 
 def test_the_command_prints_poses_and_assumptions(dynid, tmp_path) -> None:

@@ -76,26 +76,28 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, str]:
+@pytest.fixture
+def run_dynid(run_dynid, monkeypatch, folder):
+    """Calls the command in the folder."""
     monkeypatch.chdir(folder)
-    return command_line.run(monkeypatch, capsys, *arguments)
+    return run_dynid
 
 
-def test_info_writes_a_page_once(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info")
+def test_info_writes_a_page_once(run_dynid, folder):
+    status, out, _ = run_dynid("info", "run.h5", "--page", "run-info")
     assert status == 0
     assert out.endswith("run-info/info.json\nrun-info/info.html\n")
-    status, _, err = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info")
+    status, _, err = run_dynid("info", "run.h5", "--page", "run-info")
     assert status == 2
     assert "exists already" in err
-    status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--page", "run-info", "--force", "--json")
+    status, out, _ = run_dynid("info", "run.h5", "--page", "run-info", "--force", "--json")
     assert status == 0
     assert json.loads(out) == command_line.stored(folder / "run-info" / "info.json")
 
 
 @pytest.mark.usefixtures("with_friction_search")
-def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model", "-v")
+def test_identify_validates_writes_and_prints(run_dynid, folder):
+    status, out, _ = run_dynid("identify", "run.h5", "--validate", "val.h5", "-o", "model", "-v")
     assert status == 0
     assert "\nNext:\n" in "\n".join(out.splitlines()[:MOST_LINES])
     assert_one_verdict(folder / "model", out)
@@ -108,12 +110,12 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     assert all(len(use["sha256"]) == 64 for use in result["recordings"])
     assert (folder / "model" / "report.html").stat().st_size > 1e6
 
-    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model/result.json", "val.h5", "--json")
+    status, out, _ = run_dynid("validate", "model/result.json", "val.h5", "--json")
     assert status == 0
     again = json.loads(out)["full"]
     assert again["relative_error"] == pytest.approx(result["validation"]["relative_error"], rel=1e-6)
 
-    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5", "--json")
+    status, out, _ = run_dynid("validate", "model", "val.h5", "run.h5", "--json")
     assert status == 0
     judged = json.loads(out)
     assert [one["recording"].rpartition("/")[2] for one in judged["recordings"]] == ["val.h5", "run.h5"]
@@ -126,13 +128,13 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
         assert order.index(apart[1]["grade"]) >= order.index("usable")
     called = dynid.validate(folder / "model", [folder / "val.h5", folder / "run.h5"])
     assert {purpose: asdict(one) for purpose, one in called.verdict.purposes.items()} == judged["verdict"]["purposes"]
-    status, _, err = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "run.h5", "-o", "refused")
+    status, _, err = run_dynid("identify", "run.h5", "--validate", "run.h5", "-o", "refused")
     assert status == 2
     assert "nothing is held out" in err
     assert not (folder / "refused").exists()
-    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5")
+    status, out, _ = run_dynid("validate", "model", "val.h5", "run.h5")
     assert (status, len(out.splitlines()) <= MOST_LINES) == (0, True)
-    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5", "--verbose")
+    status, out, _ = run_dynid("validate", "model", "val.h5", "run.h5", "--verbose")
     assert status == 0
     assert "run.h5 (NOT held out: 100 % of its samples were used in the identification)" in out
     assert judged["verdict"]["headline"] in out
@@ -153,20 +155,20 @@ def assert_one_verdict(model: Path, out: str) -> None:
         assert check["text"] in report
 
 
-def test_info_begins_with_its_verdict_and_remembers_the_import(monkeypatch, capsys, folder):
+def test_info_begins_with_its_verdict_and_remembers_the_import(run_dynid, folder):
     recording = read_recording(folder / "run.h5")
     noted = replace(recording, events=(Event(0.0, "warning", "import", "sort: time went backward 3 times"),))
     write_recording(folder / "noted.h5", noted)
-    _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5")
+    _, out, _ = run_dynid("info", "noted.h5")
     assert "Judging by the recording alone: Good for" in out.splitlines()[1]
     assert len(out.splitlines()) <= 25
     assert "note: import: sort: time went backward 3 times [import-warning]" in out
-    _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5", "--json")
+    _, out, _ = run_dynid("info", "noted.h5", "--json")
     assert [check["name"] for check in json.loads(out)["verdict"]["checks"]] == ["import-warning"]
 
 
-def test_identify_json_is_the_result_and_nothing_else(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--json", "-o", "asjson", "--method", "ols")
+def test_identify_json_is_the_result_and_nothing_else(run_dynid, folder):
+    status, out, _ = run_dynid("identify", "run.h5", "--json", "-o", "asjson", "--method", "ols")
     assert status == 0
     printed = json.loads(out)
     written = json.loads((folder / "asjson" / "result.json").read_text())
@@ -176,8 +178,8 @@ def test_identify_json_is_the_result_and_nothing_else(monkeypatch, capsys, folde
     assert "last 30 %" in printed["validation_source"]
 
 
-def test_robot_show_json(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "robot", "show", "panda", "--json")
+def test_robot_show_json(run_dynid):
+    status, out, _ = run_dynid("robot", "show", "panda", "--json")
     shown = json.loads(out)
     assert status == 0
     assert (shown["name"], shown["dof"], shown["inertial_base_count"], shown["base_count"]) == ("panda", 7, 43, 64)
@@ -187,13 +189,13 @@ def test_robot_show_json(monkeypatch, capsys, folder):
     assert "XX1" in shown["no_effect"]
 
 
-def test_robot_show_yaml_is_the_file(monkeypatch, capsys, folder):
-    _, out, _ = run(monkeypatch, capsys, folder, "robot", "show", "ur5e", "--yaml")
+def test_robot_show_yaml_is_the_file(run_dynid):
+    _, out, _ = run_dynid("robot", "show", "ur5e", "--yaml")
     assert out == load_robot("ur5e").text
 
 
-def test_info_json(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "info", "run.h5", "--json")
+def test_info_json(run_dynid):
+    status, out, _ = run_dynid("info", "run.h5", "--json")
     shown = json.loads(out)
     assert status == 0
     stream = shown["streams"]["joints"]
@@ -204,26 +206,26 @@ def test_info_json(monkeypatch, capsys, folder):
     assert shown["excitation"]["scaled_condition"] < 100
 
 
-def test_info_of_a_motionless_recording(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "info", "still.h5")
+def test_info_of_a_motionless_recording(run_dynid):
+    status, out, _ = run_dynid("info", "still.h5")
     assert status == 0
     assert "joints" in out
 
 
-def test_check(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "check", "ur5e")
+def test_check(run_dynid):
+    status, out, _ = run_dynid("check", "ur5e")
     assert status == 0
     assert "the file is valid" in out
 
 
-def test_import_refuses_to_overwrite(monkeypatch, capsys, folder):
+def test_import_refuses_to_overwrite(run_dynid, folder):
     np.savez(folder / "a.npz", t=np.arange(100) / 100, q=np.zeros((100, 6)), torque=np.zeros((100, 6)))
     arguments = ("import", "a.npz", "--robot", "ur5e", "-o", "imported.h5")
-    assert run(monkeypatch, capsys, folder, *arguments)[0] == 0
-    status, _, err = run(monkeypatch, capsys, folder, *arguments)
+    assert run_dynid(*arguments)[0] == 0
+    status, _, err = run_dynid(*arguments)
     assert status == 2
     assert "exists already" in err
-    assert run(monkeypatch, capsys, folder, *arguments, "--force")[0] == 0
+    assert run_dynid(*arguments, "--force")[0] == 0
 
 
 BAD = [
@@ -291,8 +293,8 @@ BAD = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), BAD, ids=[" ".join(arguments) for arguments, _ in BAD])
-def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):
-    status, out, err = run(monkeypatch, capsys, folder, *arguments)
+def test_bad_input_is_told_in_one_line(run_dynid, arguments, words):
+    status, out, err = run_dynid(*arguments)
     assert status == 2, err
     assert out == ""
     assert len(err.strip().splitlines()) == 1
@@ -301,8 +303,8 @@ def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, w
         assert word in err
 
 
-def test_bad_input_with_json_is_an_object(monkeypatch, capsys, folder):
-    status, out, err = run(monkeypatch, capsys, folder, "identify", "nan.h5", "--json")
+def test_bad_input_with_json_is_an_object(run_dynid):
+    status, out, err = run_dynid("identify", "nan.h5", "--json")
     assert (status, err) == (2, "")
     told = json.loads(out)
     assert "not a number" in told["error"]
@@ -310,8 +312,8 @@ def test_bad_input_with_json_is_an_object(monkeypatch, capsys, folder):
     assert told["hint"]
 
 
-def test_nothing_is_written_where_the_input_is_bad(monkeypatch, capsys, folder):
-    assert run(monkeypatch, capsys, folder, "identify", "nan.h5", "-o", "untouched")[0] == 2
+def test_nothing_is_written_where_the_input_is_bad(run_dynid, folder):
+    assert run_dynid("identify", "nan.h5", "-o", "untouched")[0] == 2
     assert not (folder / "untouched").exists()
 
 
@@ -325,32 +327,16 @@ def parts(folder) -> Path:
     return folder
 
 
-def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
+def test_two_experiments_are_identified_and_merged(run_dynid, monkeypatch, parts):
+    monkeypatch.chdir(parts)
     joint = load_robot("ur5e").robot.joint_names[5]
-    status, out, _ = run(
-        monkeypatch, capsys, parts, "identify", "locked.h5", "--locked", joint, "-o", "arm", "--delay", "0", "-v"
-    )
+    status, out, _ = run_dynid("identify", "locked.h5", "--locked", joint, "-o", "arm", "--delay", "0", "-v")
     assert status == 0
     assert f"experiment: locked: {joint} at" in out
-    status, out, _ = run(
-        monkeypatch,
-        capsys,
-        parts,
-        "identify",
-        "run.h5",
-        "--torques-of",
-        f" {joint}, ",
-        "-o",
-        "wrist",
-        "--delay",
-        "0",
-        "-v",
-    )
+    status, out, _ = run_dynid("identify", "run.h5", "--torques-of", f" {joint}, ", "-o", "wrist", "--delay", "0", "-v")
     assert status == 0
     assert f"torques of {joint}" in out
-    status, out, _ = run(
-        monkeypatch, capsys, parts, "merge", "arm", "wrist/result.json", "--validate", "val.h5", "-o", "whole", "-v"
-    )
+    status, out, _ = run_dynid("merge", "arm", "wrist/result.json", "--validate", "val.h5", "-o", "whole", "-v")
     assert status == 0
     assert "Models that were merged" in out
     assert "val.h5" in out
@@ -360,11 +346,11 @@ def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
     assert [model["file"] for model in result["merge"]["models"]] == ["arm/result.json", "wrist/result.json"]
     assert (parts / "whole" / "report.html").stat().st_size > 1e6
 
-    status, out, _ = run(monkeypatch, capsys, parts, "merge", "arm", "wrist", "--json", "-o", "again")
+    status, out, _ = run_dynid("merge", "arm", "wrist", "--json", "-o", "again")
     assert status == 0
     assert json.loads(out)["validation"] is None
 
-    status, _, err = run(monkeypatch, capsys, parts, "validate", "arm/result.json", "val.h5")
+    status, _, err = run_dynid("validate", "arm/result.json", "val.h5")
     assert status == 2
     assert f"{joint} was locked" in err
 
@@ -383,8 +369,8 @@ def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
         (["merge", "old/result.json", "bad.json", "-o", "old"], "old/result.json: is an input of this command"),
     ],
 )
-def test_wrong_experiments_and_merges_are_refused_in_one_line(monkeypatch, capsys, folder, arguments, words):
-    status, _, err = run(monkeypatch, capsys, folder, *arguments)
+def test_wrong_experiments_and_merges_are_refused_in_one_line(run_dynid, arguments, words):
+    status, _, err = run_dynid(*arguments)
     assert status == 2
     assert words in err
     assert len(err.strip().splitlines()) == 1

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
-import command_line
 import pytest
 from compiled_arm import self_test
 from each import each
@@ -27,15 +27,16 @@ def model(tmp_path_factory) -> Path:
     return folder
 
 
-def run(monkeypatch, capsys, *arguments: object) -> tuple[int, str, str]:
-    """Exit status, standard output, standard error."""
-    return command_line.run(monkeypatch, capsys, "export", *arguments)
+@pytest.fixture
+def export(run_dynid):
+    """Calls `dynid export`."""
+    return partial(run_dynid, "export")
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["consistent", "full", "essential"])
-def test_code_of_all_three_models_passes_its_test(model, kind, tmp_path, monkeypatch, capsys):
-    status, out, _ = run(monkeypatch, capsys, model, "--c", tmp_path / "arm", "--parameters", kind)
+def test_code_of_all_three_models_passes_its_test(model, kind, tmp_path, export):
+    status, out, _ = export(model, "--c", tmp_path / "arm", "--parameters", kind)
     assert status == 0
     assert "multiplications" in out
     assert self_test(tmp_path / "arm.c", "up6").returncode == 0
@@ -59,8 +60,8 @@ def test_the_header_says_where_the_parameters_come_from(model, kind, tmp_path):
         assert f"std {value:.3g}" in line
 
 
-def test_json(model, tmp_path, monkeypatch, capsys):
-    status, out, _ = run(monkeypatch, capsys, model, "--c", tmp_path / "arm.c", "--c-float", "--json")
+def test_json(model, tmp_path, export):
+    status, out, _ = export(model, "--c", tmp_path / "arm.c", "--c-float", "--json")
     assert status == 0
     assert [file["path"] for file in json.loads(out)["files"]] == [str(tmp_path / "arm.c")]
     assert "typedef float up6_real;" in (tmp_path / "arm.h").read_text()
@@ -77,27 +78,25 @@ def test_json(model, tmp_path, monkeypatch, capsys):
         ([], "no file to write is named"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(model, arguments, message, tmp_path, monkeypatch, capsys):
+def test_bad_input_is_one_line_and_status_2(model, arguments, message, tmp_path, export):
     given = [argument.replace("OUT", str(tmp_path)) for argument in arguments]
-    status, _, error = run(monkeypatch, capsys, model, *given)
+    status, _, error = export(model, *given)
     assert (status, error.count("\n")) == (2, 1)
     assert message in error
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_exists_needs_force(model, tmp_path, monkeypatch, capsys):
+def test_a_file_that_exists_needs_force(model, tmp_path, export):
     (tmp_path / "arm.h").write_text("mine")
-    status, _, error = run(monkeypatch, capsys, model, "--c", tmp_path / "arm")
+    status, _, error = export(model, "--c", tmp_path / "arm")
     assert (status, error.count("\n")) == (2, 1)
     assert (tmp_path / "arm.h").read_text() == "mine"
-    assert run(monkeypatch, capsys, model, "--c", tmp_path / "arm", "--force")[0] == 0
+    assert export(model, "--c", tmp_path / "arm", "--force")[0] == 0
 
 
-def test_loops_solved_numerically_are_refused_in_a_sentence(tmp_path, monkeypatch, capsys):
+def test_loops_solved_numerically_are_refused_in_a_sentence(tmp_path, export):
     (tmp_path / "result.json").write_text(result_json(true_result(four_bar_arm())))
-    status, _, error = run(
-        monkeypatch, capsys, tmp_path / "result.json", "--c", tmp_path / "arm", "--parameters", "full"
-    )
+    status, _, error = export(tmp_path / "result.json", "--c", tmp_path / "arm", "--parameters", "full")
     assert (status, error.count("\n")) == (1, 1)
     assert "solved numerically" in error
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import command_line
 import pytest
 
 import dynid
@@ -26,57 +25,57 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def run(monkeypatch, capsys, folder: Path, *arguments: str) -> tuple[int, str, str]:
+@pytest.fixture
+def run_dynid(run_dynid, monkeypatch, folder):
+    """Calls the command in the folder."""
     monkeypatch.chdir(folder)
-    return command_line.run(monkeypatch, capsys, *arguments)
+    return run_dynid
 
 
-def test_predict_writes_a_recording_that_info_reads_and_a_page(monkeypatch, capsys, folder):
-    status, out, _ = run(
-        monkeypatch, capsys, folder, "predict", "model", "val.h5", "-o", "out.h5", "--page", "out.html"
-    )
+def test_predict_writes_a_recording_that_info_reads_and_a_page(run_dynid, folder):
+    status, out, _ = run_dynid("predict", "model", "val.h5", "-o", "out.h5", "--page", "out.html")
     assert status == 0
     assert "residual" in out
     assert "out.h5" in out
     assert (folder / "out.html").exists()
-    status, out, _ = run(monkeypatch, capsys, folder, "info", "out.h5", "--json")
+    status, out, _ = run_dynid("info", "out.h5", "--json")
     assert status == 0
     streams = json.loads(out)["streams"]
     assert set(streams) == {"joints", "prediction"}
     assert streams["prediction"]["channels"]["gravity_torque"]["unit"] == "N*m"
 
 
-def test_predict_prints_one_object_and_overwrites_by_force_only(monkeypatch, capsys, folder):
+def test_predict_prints_one_object_and_overwrites_by_force_only(run_dynid):
     arguments = ("predict", "model", "val.h5", "-o", "again.h5", "--json")
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    status, out, _ = run_dynid(*arguments)
     assert status == 0
     told = json.loads(out)
     assert told["file"] == "again.h5"
     assert [joint["joint"] for joint in told["joints"]] == list(dynid.load_robot("up6").robot.joint_names)
     assert told["samples"] > 500
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    status, out, _ = run_dynid(*arguments)
     assert status == 2
     assert "exists already" in json.loads(out)["error"]
-    assert run(monkeypatch, capsys, folder, *arguments, "--force")[0] == 0
+    assert run_dynid(*arguments, "--force")[0] == 0
 
 
 @pytest.mark.usefixtures("with_friction_search")
-def test_presliding_is_found_and_used_unless_told_not_to(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "-o", "sliding", "-v")
+def test_presliding_is_found_and_used_unless_told_not_to(run_dynid):
+    status, out, _ = run_dynid("identify", "run.h5", "-o", "sliding", "-v")
     assert status == 0
     assert "presliding: travel [rad] by Coulomb parameter" in out
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--no-presliding", "-o", "static", "-v")
+    status, out, _ = run_dynid("identify", "run.h5", "--no-presliding", "-o", "static", "-v")
     assert status == 0
     assert "travel [rad]" not in out
-    status, out, _ = run(monkeypatch, capsys, folder, "predict", "static", "val.h5", "-o", "static.h5", "--json")
+    status, out, _ = run_dynid("predict", "static", "val.h5", "-o", "static.h5", "--json")
     assert status == 0
     assert json.loads(out)["presliding"] is False
 
 
-def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(monkeypatch, capsys, folder):
+def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(run_dynid, folder):
     limited = ("identify", "run.h5", "--validate", "val.h5", "--max-error", "1e-6", "-o", "failed")
     arguments = (*limited, "--history", "arm.db")
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    status, out, _ = run_dynid(*arguments)
     assert status == 1
     assert "Acceptance FAILED: 0 of 1 limits kept." in out
     assert dynid.History(folder / "arm.db").arms == ("up6",)
@@ -87,44 +86,44 @@ def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(monkeypa
     assert dynid.load_result(folder / "failed").acceptance.passed is False
 
 
-def test_identify_passes_with_a_file_and_prints_one_object(monkeypatch, capsys, folder):
+def test_identify_passes_with_a_file_and_prints_one_object(run_dynid):
     arguments = ("identify", "run.h5", "--validate", "val.h5", "--accept", "limits.yaml", "-o", "passed", "--json")
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    status, out, _ = run_dynid(*arguments)
     assert status == 0
     assert json.loads(out)["acceptance"]["passed"] is True
 
 
-def test_validate_fails_where_a_limit_is_not_kept(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "--max-rmse", "1e-9", "--json")
+def test_validate_fails_where_a_limit_is_not_kept(run_dynid):
+    status, out, _ = run_dynid("validate", "model", "val.h5", "--max-rmse", "1e-9", "--json")
     assert status == 1
     criteria = json.loads(out)["acceptance"]["criteria"]
     assert len(criteria) == 3
     assert not any(criterion["passed"] for criterion in criteria)
-    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "--accept", "limits.yaml")
+    status, out, _ = run_dynid("validate", "model", "val.h5", "--accept", "limits.yaml")
     assert status == 0
     assert "Acceptance passed: 2 of 2 limits kept." in out
 
 
-def test_an_option_goes_before_the_files_limit(monkeypatch, capsys, folder):
+def test_an_option_goes_before_the_files_limit(run_dynid):
     arguments = ("validate", "model", "val.h5", "--accept", "limits.yaml", "--max-error", "1e-6", "--json")
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments)
+    status, out, _ = run_dynid(*arguments)
     assert status == 1
     criteria = {criterion["name"]: criterion for criterion in json.loads(out)["acceptance"]["criteria"]}
     assert criteria["relative_error"]["limit"] == 1e-6
     assert criteria["consistent"]["passed"] is True
 
 
-def test_monitor_watches_a_recording_and_writes_a_page(monkeypatch, capsys, folder):
+def test_monitor_watches_a_recording_and_writes_a_page(run_dynid, folder):
     (folder / "labels.csv").write_text("start,end\n2,2.5\n")
     quiet = ("--quiet", "run.h5", "--quiet", "val.h5", "--bandwidth", "45", "--false-alarms", "100")
     arguments = ("monitor", "--replay", "val.h5", "--model", "model", *quiet, "--contacts", "labels.csv")
-    status, out, err = run(monkeypatch, capsys, folder, *arguments, "--page", "contacts.html")
+    status, out, err = run_dynid(*arguments, "--page", "contacts.html")
     assert status == 0, err
     assert "Smallest force detected" in out
     assert "torque of the drives, one threshold per joint" in out
     assert "no safety function" in out
     assert "External torque" in (folder / "contacts.html").read_text(encoding="utf-8")
-    status, out, _ = run(monkeypatch, capsys, folder, *arguments, "--json")
+    status, out, _ = run_dynid(*arguments, "--json")
     assert status == 0
     told = json.loads(out)
     assert told["contacts"] == []
@@ -133,12 +132,12 @@ def test_monitor_watches_a_recording_and_writes_a_page(monkeypatch, capsys, fold
     assert set(told["smallest_force"]) == set(dynid.load_model(folder / "model").joint_names)
 
 
-def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "diff", "model", "model")
+def test_diff_prints_tables_and_one_object(run_dynid):
+    status, out, _ = run_dynid("diff", "model", "model")
     assert status == 0
     assert "0 of" in out
     assert "Held-out errors" in out
-    status, out, _ = run(monkeypatch, capsys, folder, "diff", "model", "model/result.json", "--json")
+    status, out, _ = run_dynid("diff", "model", "model/result.json", "--json")
     assert status == 0
     told = json.loads(out)
     assert told["agree"] is True
@@ -177,8 +176,8 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
         (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: is a folder, not a file"),
     ],
 )
-def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):
-    status, out, err = run(monkeypatch, capsys, folder, *arguments)
+def test_bad_input_is_told_in_one_line(run_dynid, folder, arguments, words):
+    status, out, err = run_dynid(*arguments)
     assert (status, out) == (2, ""), err
     assert words in err
     assert len(err.strip().splitlines()) == 1

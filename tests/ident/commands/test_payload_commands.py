@@ -7,7 +7,7 @@ from pathlib import Path
 
 import h5py
 import pytest
-from command_line import run, stored
+from command_line import stored
 from html_page import Page
 from loaded_arm import runs
 
@@ -27,13 +27,13 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
+def test_payload_in_words_and_as_a_page(folder, run_dynid, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--mass", "2.8", "-v")
+    status, out, err = run_dynid("payload", "free.h5", "loaded.h5", "--mass", "2.8", "-v")
     assert out.endswith("\nloaded-payload/payload.json\nloaded-payload/report.html\n")
     content = json.loads((folder / "loaded-payload" / "payload.json").read_text(encoding="utf-8"))
     page = Page((folder / "loaded-payload" / "report.html").read_text(encoding="utf-8"))
-    outcome = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--mass", "2.8", "--force")[1]
+    outcome = run_dynid("payload", "free.h5", "loaded.h5", "--mass", "2.8", "--force")[1]
     assert outcome.count("\n") <= 20
     assert all(f"warning: {warning}" in outcome for warning in content["warnings"])
     for sentence in content["sentences"]:
@@ -55,9 +55,9 @@ def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
         assert expected in out
 
 
-def test_payload_as_json(folder, capsys, monkeypatch):
+def test_payload_as_json(folder, run_dynid, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, _ = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--json", "-o", "load")
+    status, out, _ = run_dynid("payload", "free.h5", "loaded.h5", "--json", "-o", "load")
     content = json.loads(out)
     assert content == stored(folder / "load" / "payload.json")
     assert status == 0
@@ -67,9 +67,9 @@ def test_payload_as_json(folder, capsys, monkeypatch):
     assert content["tests"]["mass"] is None
 
 
-def test_gains_in_words_and_as_a_page(folder, capsys, monkeypatch):
+def test_gains_in_words_and_as_a_page(folder, run_dynid, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(monkeypatch, capsys, "gains", "free.h5", "loaded.h5", "--mass", "2.8")
+    status, out, err = run_dynid("gains", "free.h5", "loaded.h5", "--mass", "2.8")
     assert out.endswith("\nloaded-gains/gains.json\nloaded-gains/report.html\n")
     content = json.loads((folder / "loaded-gains" / "gains.json").read_text(encoding="utf-8"))
     page = Page((folder / "loaded-gains" / "report.html").read_text(encoding="utf-8"))
@@ -81,12 +81,10 @@ def test_gains_in_words_and_as_a_page(folder, capsys, monkeypatch):
         assert expected in out
 
 
-def test_gains_as_json(folder, capsys, monkeypatch):
+def test_gains_as_json(folder, run_dynid, monkeypatch):
     monkeypatch.chdir(folder)
     arguments = ["gains", "free.h5", "loaded.h5", "--mass", "2.8", "--json", "-o", "gains"]
-    status, out, _ = run(
-        monkeypatch, capsys, *arguments, "--com", "0.03,-0.02,0.08", "--inertia", "0.01,0.001,0,0.012,0,0.009"
-    )
+    status, out, _ = run_dynid(*arguments, "--com", "0.03,-0.02,0.08", "--inertia", "0.01,0.001,0,0.012,0,0.009")
     content = json.loads(out)
     assert status == 0
     assert content["kind"] == "gains"
@@ -111,9 +109,9 @@ def test_gains_as_json(folder, capsys, monkeypatch):
         (["payload", "free.h5", "loaded.h5", "--delay", "50"], "longer than the recording"),
     ],
 )
-def test_bad_input_is_one_line_and_status_2(arguments, said, folder, capsys, monkeypatch):
+def test_bad_input_is_one_line_and_status_2(arguments, said, folder, run_dynid, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(monkeypatch, capsys, *arguments, "-o", "untouched")
+    status, out, err = run_dynid(*arguments, "-o", "untouched")
     assert not Path("untouched").exists()
     assert status == 2
     assert said in err

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from command_line import run
 from typer.testing import CliRunner
 
 from daq.motion.limits import motion_extremes
@@ -58,10 +57,8 @@ def searched(usual, monkeypatch) -> SearchResult:
     return usual[2]
 
 
-def test_it_designs_writes_and_prints(monkeypatch, capsys, folder, searched):
-    status, out, _ = run(
-        monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--page", "t.html", "--periods", "2", *QUICK
-    )
+def test_it_designs_writes_and_prints(run_dynid, folder, searched):
+    status, out, _ = run_dynid("excite", "arm.yaml", "-o", "t.yaml", "--page", "t.html", "--periods", "2", *QUICK)
     assert status == 0
     assert "Limit utilisation" in out
     assert "as played: condition" in out
@@ -78,9 +75,7 @@ def test_it_designs_writes_and_prints(monkeypatch, capsys, folder, searched):
     assert (folder / "t.html").stat().st_size > 1e6
 
 
-def test_json_is_one_object_with_the_figures_and_an_earlier_design_is_improved_or_kept(
-    monkeypatch, capsys, folder, usual
-):
+def test_json_is_one_object_with_the_figures_and_an_earlier_design_is_improved_or_kept(run_dynid, folder, usual):
     path, told, _ = usual
     assert told["file"] == "t.yaml"
     assert told["page"] is None
@@ -93,23 +88,23 @@ def test_json_is_one_object_with_the_figures_and_an_earlier_design_is_improved_o
         told["figures"]["forecast"]["scaled_condition"] < 50
     )  # which optimum a start ends in differs between processors
     more = ("--starts", "1", "--harmonics", "1", "--period", "5", "--from", str(path), "--json")
-    again = json.loads(run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "b.yaml", *more)[1])
+    again = json.loads(run_dynid("excite", "arm.yaml", "-o", "b.yaml", *more)[1])
     assert again["cost"] <= 1.02 * told["cost"]
 
 
-def test_the_same_seed_gives_the_same_file_and_another_one_another(monkeypatch, capsys, folder):
+def test_the_same_seed_gives_the_same_file_and_another_one_another(run_dynid, folder):
     for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
-        assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", f"{name}.yaml", "--seed", seed, *LARGEST)[0] == 0
+        assert run_dynid("excite", "arm.yaml", "-o", f"{name}.yaml", "--seed", seed, *LARGEST)[0] == 0
     texts = [(folder / f"{name}.yaml").read_text() for name in "abc"]
     assert texts[0] == texts[1] != texts[2]
 
 
-def test_a_payload_and_single_joints(monkeypatch, capsys, folder, usual):
+def test_a_payload_and_single_joints(run_dynid, folder, usual):
     arguments = ("excite", "arm.yaml", "--json", "--force", "-o", "t.yaml", *QUICK)
-    loaded = json.loads(run(monkeypatch, capsys, *arguments, "--loaded")[1])
+    loaded = json.loads(run_dynid(*arguments, "--loaded")[1])
     assert loaded["choices"]["loaded"] is True
     assert loaded["cost"] < usual[1]["cost"]  # ten parameters of one link are fewer than all
-    status, out, _ = run(monkeypatch, capsys, *arguments, "--joints", "j2, j3")
+    status, out, _ = run_dynid(*arguments, "--joints", "j2, j3")
     joints = {joint["joint"]: joint for joint in json.loads(out)["figures"]["joints"]}
     assert status == 0
     assert joints["j1"]["lowest"] == joints["j1"]["highest"] == 0.0
@@ -117,26 +112,26 @@ def test_a_payload_and_single_joints(monkeypatch, capsys, folder, usual):
     assert {"Fv1", "Fs1"} <= set(json.loads(out)["figures"]["forecast"]["unexcited"])
 
 
-def test_ctrl_c_writes_the_best_so_far(monkeypatch, capsys, folder, searched):
+def test_ctrl_c_writes_the_best_so_far(run_dynid, monkeypatch, folder, searched):
     monkeypatch.setattr(design_module, "search", lambda *_: replace(searched, interrupted=True))
-    status, out, _ = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *QUICK)
+    status, out, _ = run_dynid("excite", "arm.yaml", "-o", "t.yaml", *QUICK)
     assert status == 0
     assert "Ctrl-C ended the search" in out
     load_trajectory(folder / "t.yaml", load_robot(folder / "arm.yaml").robot)
 
 
-def test_ctrl_c_before_anything_was_found_writes_nothing(monkeypatch, capsys, folder, searched):
+def test_ctrl_c_before_anything_was_found_writes_nothing(run_dynid, monkeypatch, folder, searched):
     monkeypatch.setattr(design_module, "search", lambda *_: replace(searched, interrupted=True, best=None))
-    status, out, err = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *QUICK)
+    status, out, err = run_dynid("excite", "arm.yaml", "-o", "t.yaml", *QUICK)
     assert (status, out) == (130, "")
     assert "interrupted" in err
     assert not (folder / "t.yaml").exists()
 
 
-def test_an_existing_file_stays_unless_forced(monkeypatch, capsys, folder, searched):
-    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", *QUICK)[0] == 2
+def test_an_existing_file_stays_unless_forced(run_dynid, folder, searched):
+    assert run_dynid("excite", "arm.yaml", "-o", "there.yaml", *QUICK)[0] == 2
     assert (folder / "there.yaml").read_text() == "a file of the user"
-    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", "--force", *QUICK)[0] == 0
+    assert run_dynid("excite", "arm.yaml", "-o", "there.yaml", "--force", *QUICK)[0] == 0
     assert yaml.safe_load((folder / "there.yaml").read_text())["kind"] == "fourier"
 
 
@@ -173,9 +168,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), REFUSED)
-def test_what_is_refused_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):
+def test_what_is_refused_is_told_in_one_line(run_dynid, folder, arguments, words):
     out_option = [] if "-o" in arguments else ["-o", "t.yaml"]
-    status, out, err = run(monkeypatch, capsys, "excite", *arguments, *out_option)
+    status, out, err = run_dynid("excite", *arguments, *out_option)
     assert status == 2, err
     assert out == ""
     assert len(err.strip().splitlines()) == 1
@@ -185,7 +180,7 @@ def test_what_is_refused_is_told_in_one_line(monkeypatch, capsys, folder, argume
     assert (folder / "there.yaml").read_text() == "a file of the user"
 
 
-def test_a_refusal_with_json_is_an_object(monkeypatch, capsys, folder):
-    status, out, err = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--period", "0", "--json")
+def test_a_refusal_with_json_is_an_object(run_dynid, folder):
+    status, out, err = run_dynid("excite", "arm.yaml", "-o", "t.yaml", "--period", "0", "--json")
     assert (status, err) == (2, "")
     assert "--period 0" in json.loads(out)["error"]

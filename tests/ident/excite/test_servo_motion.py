@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import command_line
 import numpy as np
 import pytest
 from servo_result import true_servo_result
@@ -74,11 +73,9 @@ def test_pieces_keep_limits_and_begin_and_end_at_rest_in_their_pose(file):
         assert kind == "chirp" or sizes == sorted(sizes), kind  # a chirp is as large as its accelerations may be
 
 
-def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_simulated_arm(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_simulated_arm(tmp_path, run_dynid):
     target = ["--length", "15", "-o", tmp_path / "motion.yaml", "--csv", tmp_path / "motion.csv", "--json"]
-    status, output, error = command_line.run(monkeypatch, capsys, "excite", "so101", "--for", "servo", *target)
+    status, output, error = run_dynid("excite", "so101", "--for", "servo", *target)
     assert status == 0, error
     told = json.loads(output)
     assert 8.0 < told["duration"] <= 15.0
@@ -88,12 +85,12 @@ def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_si
     table = np.loadtxt(tmp_path / "motion.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, 1:], motion.evaluate(table[:, 0])[0], atol=1e-6)
     target = ["sim", "so101", "--play", tmp_path / "motion.yaml", "-o", tmp_path / "run.h5"]
-    status, _, error = command_line.run(monkeypatch, capsys, *target)
+    status, _, error = run_dynid(*target)
     assert status == 0, error
     played = dynid.read_recording(tmp_path / "run.h5").streams["joints"]
     commands = played.channels["target_position"].values
     np.testing.assert_allclose(commands, motion.evaluate(np.minimum(played.time, motion.duration))[0], atol=1e-8)
-    status, _, error = command_line.run(monkeypatch, capsys, *target[:4])
+    status, _, error = run_dynid(*target[:4])
     assert status == 2
     assert "--out" in error
     # and the way back of a user's own log of it
@@ -103,7 +100,7 @@ def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_si
     np.savetxt(log, rows, delimiter=",", header=",".join(header), comments="", fmt="%.6f")
     columns = ["--column", "position=position_{}", "--column", "target_position=target_{}"]
     imported = ["import", log, "--robot", "so101", *columns, "-o", tmp_path / "log.h5"]
-    status, _, error = command_line.run(monkeypatch, capsys, *imported)
+    status, _, error = run_dynid(*imported)
     assert status == 0, error
     again = dynid.read_recording(tmp_path / "log.h5").streams["joints"].channels["target_position"].values
     np.testing.assert_allclose(again, commands, atol=1e-6)
@@ -122,17 +119,15 @@ def test_what_is_wide_decides_and_enough_is_said(file):
     assert more.motion.duration <= 20.0
 
 
-def test_a_model_that_is_good_enough_needs_no_motion_and_one_of_another_arm_is_refused(
-    file, tmp_path, monkeypatch, capsys
-):
+def test_a_model_that_is_good_enough_needs_no_motion_and_one_of_another_arm_is_refused(file, tmp_path, run_dynid):
     model = tmp_path / "model"
     dynid.ServoModel(known(file, 0.02)).save(model)
     arguments = ["--for", "servo", "--after", model, "-o", tmp_path / "m.yaml"]
-    status, output, error = command_line.run(monkeypatch, capsys, "excite", "so101", *arguments)
+    status, output, error = run_dynid("excite", "so101", *arguments)
     assert status == 0, error
     assert "enough" in output
     assert not (tmp_path / "m.yaml").exists()
     for arm in ("ur5e", "koch"):  # a Koch's joints have the same names
-        status, _, error = command_line.run(monkeypatch, capsys, "excite", arm, *arguments)
+        status, _, error = run_dynid("excite", arm, *arguments)
         assert status == 2
         assert "is of so101" in error

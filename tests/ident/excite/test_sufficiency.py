@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
 from each import each
 
 from daq.recording.recording import JOINTS_STREAM, Recording
@@ -119,26 +118,26 @@ def file(tmp_path_factory, three_joint) -> Path:
     return path
 
 
-def test_info_tells_it(monkeypatch, capsys, file):
-    status, out, _ = run(monkeypatch, capsys, "info", str(file))
+def test_info_tells_it(run_dynid, file):
+    status, out, _ = run_dynid("info", str(file))
     assert status == 0
     assert "predicted RSD below 15 %" in out
     assert "Time needed" not in out
-    status, out, _ = run(monkeypatch, capsys, "info", str(file), "--wanted-rsd", "3")
+    status, out, _ = run_dynid("info", str(file), "--wanted-rsd", "3")
     assert status == 0
     assert "Time needed for an RSD of 3 %" in out
     assert "For an RSD of 3 %" in out
 
 
-def test_info_tells_it_as_json(monkeypatch, capsys, file, three_joint):
-    status, out, _ = run(monkeypatch, capsys, "info", str(file), "--json")
+def test_info_tells_it_as_json(run_dynid, file, three_joint):
+    status, out, _ = run_dynid("info", str(file), "--json")
     told = json.loads(out)["sufficiency"]
     assert status == 0
     assert "needed" not in told
     assert {"condition", "scaled_condition", "log_det", "unexcited", "seconds", "source"} <= set(told)
     assert len(told["parameters"]) == 25
-    status, out, _ = run(monkeypatch, capsys, "info", str(file), "--json", "--wanted-rsd", "3")
+    status, out, _ = run_dynid("info", str(file), "--json", "--wanted-rsd", "3")
     assert json.loads(out)["sufficiency"]["needed"]["wanted_rsd_percent"] == 3.0
-    status, out, err = run(monkeypatch, capsys, "info", str(file), "--wanted-rsd", "0")
+    status, out, err = run_dynid("info", str(file), "--wanted-rsd", "0")
     assert (status, out) == (2, "")
     assert "--wanted-rsd 0 is not within 0.001 to 100 %" in err

@@ -7,7 +7,6 @@ import json
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import command_line
 import numpy as np
 import pytest
 from each import each
@@ -86,7 +85,7 @@ def test_results_that_cannot_be_placed_are_refused(recordings, std, words):
         read_entry(content(*recordings, std=std), PATH)
 
 
-def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
+def test_the_command_adds_shows_and_refuses(run_dynid, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     names = []
     rng = np.random.default_rng(1)
@@ -97,7 +96,7 @@ def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
             parameter["std"] = 0.001 * abs(parameter["value"]) if parameter["kind"] != "inertial" else None
             parameter["value"] *= 1 + 0.001 * rng.normal()
         Path(names[-1]).write_text(json.dumps(stored))
-    run = lambda *arguments: command_line.run(monkeypatch, capsys, "history", *arguments)  # noqa: E731
+    run = lambda *arguments: run_dynid("history", *arguments)  # noqa: E731
     assert run("add", *names, "--history", "arm.db")[1].startswith("arm.db: 8 results added\n")
     assert "0 results added, 8 there already" in run("add", *names, "--history", "arm.db")[1]
     status, out, _ = run("arm.db", "--page", "arm.html", "--csv", "arm.csv")

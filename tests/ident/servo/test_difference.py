@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import command_line
 import numpy as np
 import pytest
 from servo_result import true_servo_result
@@ -36,17 +35,17 @@ def test_draws_of_a_model_agree_with_it_and_another_friction_does_not(model):
     assert "differ significantly" in str(other)
 
 
-def test_the_command_takes_servo_models_of_one_arm_only(model, tmp_path, monkeypatch, capsys):
+def test_the_command_takes_servo_models_of_one_arm_only(model, tmp_path, run_dynid):
     model.save(tmp_path / "a")
     model.drawn(1).save(tmp_path / "b")
-    status, output, error = command_line.run(monkeypatch, capsys, "diff", tmp_path / "a", tmp_path / "b", "--json")
+    status, output, error = run_dynid("diff", tmp_path / "a", tmp_path / "b", "--json")
     assert status == 0, error
     assert json.loads(output)["agree"]
     dynid.ServoModel(true_servo_result(load_robot("koch"))).save(tmp_path / "koch")
-    status, _, error = command_line.run(monkeypatch, capsys, "diff", tmp_path / "a", tmp_path / "koch")
+    status, _, error = run_dynid("diff", tmp_path / "a", tmp_path / "koch")
     assert status == 2
     assert "different robots" in error
-    status, _, error = command_line.run(monkeypatch, capsys, "compare", tmp_path / "a", tmp_path / "b")
+    status, _, error = run_dynid("compare", tmp_path / "a", tmp_path / "b")
     assert status == 2
     assert "dynid diff" in error
 

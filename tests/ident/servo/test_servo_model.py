@@ -6,7 +6,6 @@ import dataclasses
 import json
 from pathlib import Path
 
-import command_line
 import numpy as np
 import pytest
 
@@ -137,28 +136,26 @@ def test_what_is_saved_is_read_again(model, folder):
     assert model.result.verdict.headline in page
 
 
-def test_the_commands_validate_and_export_take_it(folder, other, tmp_path, monkeypatch, capsys):
+def test_the_commands_validate_and_export_take_it(folder, other, tmp_path, run_dynid):
     run = tmp_path / "run.h5"
     dynid.write_recording(run, other)
-    status, output, error = command_line.run(monkeypatch, capsys, "validate", folder, run, "--json")
+    status, output, error = run_dynid("validate", folder, run, "--json")
     assert status == 0, error
     judged = json.loads(output)["validation"]
     assert judged["held_out"]
     assert judged["rollout_mean"] < 4e-3
-    status, output, error = command_line.run(monkeypatch, capsys, "export", folder, "--mjcf", tmp_path / "arm.xml")
+    status, output, error = run_dynid("export", folder, "--mjcf", tmp_path / "arm.xml")
     assert status == 0, error
     assert "position actuators" in output
     ranges = tmp_path / "ranges.json"
-    status, output, error = command_line.run(monkeypatch, capsys, "export", folder, "--ranges", ranges)
+    status, output, error = run_dynid("export", folder, "--ranges", ranges)
     assert status == 0, error
     joint = json.loads(ranges.read_text(encoding="utf-8"))["joints"][1]
     assert np.shape(joint["covariance"]) == (len(joint["order"]),) * 2
-    status, _, error = command_line.run(monkeypatch, capsys, "export", folder, "--urdf", tmp_path / "arm.urdf")
+    status, _, error = run_dynid("export", folder, "--urdf", tmp_path / "arm.urdf")
     assert status == 2
     assert "ranges" in error
-    status, output, error = command_line.run(
-        monkeypatch, capsys, "predict", folder, run, "-o", tmp_path / "rolled.h5", "--json"
-    )
+    status, output, error = run_dynid("predict", folder, run, "-o", tmp_path / "rolled.h5", "--json")
     assert status == 0, error
     assert json.loads(output)["validation"]["rollout_mean"] == pytest.approx(judged["rollout_mean"])
     rolled = dynid.read_recording(tmp_path / "rolled.h5")
@@ -196,7 +193,7 @@ def test_what_the_arm_touches_holds_it_up_in_mujoco_too(model):
     assert links.heights(link, held.T)[0][0].min() > touched.height - 0.004
 
 
-def test_an_mjcf_as_it_came_is_a_reference(model, folder, other, tmp_path, monkeypatch, capsys):
+def test_an_mjcf_as_it_came_is_a_reference(model, folder, other, tmp_path, run_dynid):
     pytest.importorskip("mujoco")
     path = tmp_path / "came.xml"
     text = servo_mjcf(model._robot, model._links, model.result.values)
@@ -208,7 +205,7 @@ def test_an_mjcf_as_it_came_is_a_reference(model, folder, other, tmp_path, monke
     path.write_text("<robot/>")
     run = tmp_path / "run.h5"
     dynid.write_recording(run, other)
-    status, _, error = command_line.run(monkeypatch, capsys, "validate", folder, run, "--model-file", path)
+    status, _, error = run_dynid("validate", folder, run, "--model-file", path)
     assert status == 2
     assert "URDF has no gains" in error
     steps: list[str] = []
@@ -238,7 +235,7 @@ def test_arms_that_the_data_allow_stay_within_the_intervals_and_differ(model):
 
 
 def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refused_in_a_line(
-    other, tmp_path, monkeypatch, capsys
+    other, tmp_path, run_dynid
 ):
     stream = other.streams[JOINTS_STREAM]
     position, command = (stream.channels[name].values for name in ("position", "target_position"))
@@ -267,7 +264,7 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
         path = tmp_path / f"{name}.h5"
         dynid.write_recording(path, run)
         out = tmp_path / name
-        status, _, error = command_line.run(monkeypatch, capsys, "identify", path, "--method", "servo", "-o", out)
+        status, _, error = run_dynid("identify", path, "--method", "servo", "-o", out)
         assert status == 2, name
         assert words in error, (name, error)
         assert error.count("\n") <= 1, (name, error)
@@ -325,12 +322,12 @@ def _first(stream: Stream, count: int) -> Stream:
     return dataclasses.replace(stream, time=stream.time[:count], host_time=stream.host_time[:count], channels=kept)
 
 
-def test_a_torque_method_names_the_servo_method_and_the_other_way_round(other, tmp_path, monkeypatch, capsys):
+def test_a_torque_method_names_the_servo_method_and_the_other_way_round(other, tmp_path, run_dynid):
     with pytest.raises(dynid.UsageError) as refused:
         dynid.identify(dynid.simulate("ur5e", duration=2.0), method="servo")
     assert "identify_servo" in str(refused.value)
     run = tmp_path / "run.h5"
     dynid.write_recording(run, other)
-    status, _, error = command_line.run(monkeypatch, capsys, "identify", run, "--method", "servo", "--friction", "auto")
+    status, _, error = run_dynid("identify", run, "--method", "servo", "--friction", "auto")
     assert status == 2
     assert "--friction" in error

@@ -12,7 +12,6 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-import command_line
 import numpy as np
 import pytest
 from servo_result import true_servo_result
@@ -316,12 +315,12 @@ def test_ranges_of_a_type_are_wider_than_those_of_one_arm_and_unseen_parameters_
         model.ranges(unit_spread=-1.0)
 
 
-def test_the_command_writes_all_formats_with_their_replay(model, run, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_all_formats_with_their_replay(model, run, tmp_path, run_dynid):
     model.save(tmp_path / "model")
     dynid.write_recording(tmp_path / "run.h5", run)
     target = ["--isaaclab", tmp_path / "cfg.py", "--ranges", tmp_path / "ranges.json", "--unit-spread", "0.1"]
     arguments = ["export", tmp_path / "model", *target, "--replay", tmp_path / "run.h5"]
-    status, output, error = command_line.run(monkeypatch, capsys, *arguments, "--json")
+    status, output, error = run_dynid(*arguments, "--json")
     assert status == 0, error
     files = json.loads(output)["files"]
     replay = files[0]["replay"]
@@ -331,7 +330,7 @@ def test_the_command_writes_all_formats_with_their_replay(model, run, tmp_path, 
     assert 0 < replay["left_out"]["friction that follows the load"] < replay["identified_error"]
     assert json.loads(Path(files[1]["path"]).read_text(encoding="utf-8"))["unit_spread"] == 0.1
     target = ["--usd", tmp_path / "arm.xyz"]
-    status, _, error = command_line.run(monkeypatch, capsys, "export", tmp_path / "model", *target)
+    status, _, error = run_dynid("export", tmp_path / "model", *target)
     assert status == 2
     assert ".usda" in error
 
@@ -362,7 +361,7 @@ def test_a_joint_without_stiffness_has_no_range_to_scale_it_by(model, tmp_path):
     assert "nan" not in written.read_text()
 
 
-def test_commands_that_nobody_recorded_are_rolled_out(model, run, tmp_path, monkeypatch, capsys):
+def test_commands_that_nobody_recorded_are_rolled_out(model, run, tmp_path, run_dynid):
     channels = run.streams["joints"].channels
     time, command = run.streams["joints"].time, channels["target_position"].values
     simulated = model.simulate(time, command, start=run.position[0])
@@ -375,7 +374,7 @@ def test_commands_that_nobody_recorded_are_rolled_out(model, run, tmp_path, monk
     motion = tmp_path / "motion.yaml"
     motion.write_text(json.dumps({"robot": "so101", "kind": "samples", "time": times.tolist(), "position": rows}))
     out = tmp_path / "rolled.h5"
-    status, _, error = command_line.run(monkeypatch, capsys, "predict", tmp_path / "model", motion, "-o", out)
+    status, _, error = run_dynid("predict", tmp_path / "model", motion, "-o", out)
     assert status == 0, error
     rolled = dynid.read_recording(out)
     assert 0.05 < np.ptp(rolled.position[:, 0]) < 0.1

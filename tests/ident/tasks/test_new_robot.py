@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import InputError, RobotFileError, UsageError
@@ -179,16 +178,16 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.M
     assert new_robot_file(None, 3, Path("there.yaml"), overwrite=True).todo == 21
 
 
-def test_the_urdf_is_found_from_the_new_file(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_the_urdf_is_found_from_the_new_file(tmp_path: Path, run_dynid, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robots").mkdir()
     (tmp_path / "arm.urdf").write_text(PLAIN)
-    status, out, _ = run(monkeypatch, capsys, "robot", "new", "arm.urdf", "-o", "robots/mine.yaml")
+    status, out, _ = run_dynid("robot", "new", "arm.urdf", "-o", "robots/mine.yaml")
     assert status == 0
     assert len(out.splitlines()) <= 10
     assert "dynid sim robots/mine.yaml" in out
     assert load_robot(tmp_path / "robots/mine.yaml").urdf_text == PLAIN
-    status, out, _ = run(monkeypatch, capsys, "robot", "new", "arm.urdf", "--json")
+    status, out, _ = run_dynid("robot", "new", "arm.urdf", "--json")
     told = json.loads(out)
     assert (status, told["file"], told["todo"]) == (0, "arm.yaml", 0)
     assert {"record", "move", "identify"} == set(told["to_fill_in"])

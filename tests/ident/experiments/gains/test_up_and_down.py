@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -239,27 +238,27 @@ def folder(tmp_path_factory, recordings) -> Path:
     return folder
 
 
-def test_the_command(folder, capsys, monkeypatch):
+def test_the_command(folder, run_dynid, monkeypatch):
     monkeypatch.chdir(folder)
     arguments = ["gains", "free.h5", "loaded.h5", "--up-and-down", "--mass", "2"]
-    status, out, err = run(monkeypatch, capsys, *arguments, "--verbose")
+    status, out, err = run_dynid(*arguments, "--verbose")
     assert (status, err) == (0, "")
     for expected in ("half sums", "friction free", "Centre of mass of the load [m]", "for the robot file:\ndrives:"):
         assert expected in out
     known = (*arguments, "--com", "0.08,0.03,0.05", "--force")
-    status, out, err = run(monkeypatch, capsys, *known)
+    status, out, err = run_dynid(*known)
     assert (status, err) == (0, "")
     assert "null vector" not in out  # each gain is identified by itself
-    status, out, _ = run(monkeypatch, capsys, *known, "--json")
+    status, out, _ = run_dynid(*known, "--json")
     content = json.loads(out)
     assert content["gap"] is None
     assert content["kind"] == "gains-up-and-down"
     assert content["gains"][0]["gain"] is None
     assert content["gains"][2]["gain"] == pytest.approx(4.2, rel=0.01)
-    status, out, err = run(monkeypatch, capsys, "gains", "free.h5", "loaded.h5", "--up-and-down")
+    status, out, err = run_dynid("gains", "free.h5", "loaded.h5", "--up-and-down")
     assert (status, out) == (2, "")
     assert "without the load's mass" in err
-    status, out, _ = run(monkeypatch, capsys, "gains", "--help")
+    status, out, _ = run_dynid("gains", "--help")
     assert status == 0
     assert "[kg]" in out  # brackets are no markup
 
