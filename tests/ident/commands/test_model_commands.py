@@ -159,7 +159,7 @@ def test_diff_prints_tables_and_one_object(run_dynid):
         (["monitor", "ur5e", "--model", "model", "--page", "contacts.html"], "--contacts and --page need --replay"),
         (["predict", "nowhere", "val.h5"], "nowhere: no such file"),
         (["predict", "model", "nowhere.h5"], "nowhere.h5: no such file"),
-        (["predict", "model", "limits.yaml"], "is not an HDF5 file"),
+        (["predict", "model", "limits.yaml"], "limits.yaml: kind: this key is missing"),
         (["predict", "model", "val.h5", "-o", "val.h5", "--force"], "is an input of this command"),
         (["predict", "model", "val.h5", "-o", "nowhere/out.h5"], "there is no such folder"),
         (["predict", "model", "val.h5", "-o", "new.h5", "--parameters", "best"], "there are no 'best' parameters"),
