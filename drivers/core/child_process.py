@@ -8,25 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 from types import ModuleType
-from typing import Protocol
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
 
 _STARTING = Lock()
-
-
-class Worker(Protocol):
-    """A process, under the names of `multiprocessing.Process`."""
-
-    @property
-    def pid(self) -> int | None: ...  # noqa: D102
-
-    @property
-    def exitcode(self) -> int | None: ...  # noqa: D102
-
-    def is_alive(self) -> bool: ...  # noqa: D102
-
-    def join(self, timeout: float | None = None) -> None: ...  # noqa: D102
-
-    def kill(self) -> None: ...  # noqa: D102
 
 
 @contextmanager
@@ -66,7 +53,7 @@ def started_without_interrupt() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def leave(process: Worker, patience: float) -> None:
+def leave(process: BaseProcess, patience: float) -> None:
     """Wait until a process has ended, for so long [s]; then kill it."""
     process.join(patience)
     if process.is_alive():

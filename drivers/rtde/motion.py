@@ -23,16 +23,20 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.util import find_spec
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from drivers.core.child_process import Worker, leave, started_without_interrupt
+from drivers.core.child_process import leave, started_without_interrupt
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 from drivers.rtde.delayed_path import DelayedPath
 from drivers.rtde.servo_program import LOOKAHEAD, SERVO_GAIN, ServoProgram
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.process import BaseProcess
 
 JOINTS = 6
 SERVO_DECELERATION = 10.0
@@ -90,18 +94,6 @@ ControlFactory = Callable[[str, float], Control | ServoProgram]
 """Takes control of the arm of a host, for commands at a rate [Hz]."""
 
 
-class Pipe(Protocol):
-    """One end of a pipe, under the names of `multiprocessing.connection.Connection`."""
-
-    def poll(self, timeout: float = 0.0) -> bool: ...  # noqa: D102
-
-    def recv_bytes(self) -> bytes: ...  # noqa: D102
-
-    def send_bytes(self, buf: bytes) -> None: ...  # noqa: D102
-
-    def close(self) -> None: ...  # noqa: D102
-
-
 def has_ur_rtde() -> bool:
     """Return whether ur_rtde is installed; there are no wheels of it from Python 3.13 on."""
     return find_spec("rtde_control") is not None
@@ -121,7 +113,7 @@ def take_control(host: str, rate: float) -> Control | ServoProgram:
     return control
 
 
-def start_process(factory: ControlFactory, host: str, rate: float, timeout: float) -> tuple[Pipe, Worker]:
+def start_process(factory: ControlFactory, host: str, rate: float, timeout: float) -> tuple[Connection, BaseProcess]:
     """A process that takes control of an arm and obeys the pipe, once it runs; `factory` must be importable there."""
     # spawn: a forked child would inherit the recorder's sockets, files and locks.
     context = multiprocessing.get_context("spawn")
@@ -152,7 +144,7 @@ class MotionProcess:
         rate: float,
         timeout: float,
         factory: ControlFactory = take_control,
-        start: Callable[[ControlFactory, str, float, float], tuple[Pipe, Worker]] = start_process,
+        start: Callable[[ControlFactory, str, float, float], tuple[Connection, BaseProcess]] = start_process,
     ) -> None:
         self._host = host
         self._unanswered = 0
@@ -228,7 +220,7 @@ class MotionProcess:
         return self._process.exitcode == 0
 
 
-def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: float) -> None:
+def _run(pipe: Connection, factory: ControlFactory, host: str, rate: float, timeout: float) -> None:
     # They may reach the whole process group; the parent must decide, or the arm would not be stopped in order.
     for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(ignored, signal.SIG_IGN)
@@ -242,7 +234,9 @@ def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: f
         sys.exit(_UNCONFIRMED_STATUS)
 
 
-def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Callable[[], None], clock: Clock) -> bool:
+def obey(
+    pipe: Connection, factory: ControlFactory, host: str, rate: float, taken: Callable[[], None], clock: Clock
+) -> bool:
     """Take control of an arm, pass on what comes through the pipe, halt the arm in the end.
 
     Whether it has halted, as far as it was moved. Commands come at a rate [Hz]; `taken` is called once control is had.
@@ -271,7 +265,7 @@ def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Cal
     return halted
 
 
-def _await_first_command(pipe: Pipe, control: Control | ServoProgram) -> bytes | None:
+def _await_first_command(pipe: Connection, control: Control | ServoProgram) -> bytes | None:
     """Keep the watchdog content until there is something in the pipe (None), or say what is wrong."""
     kick_period = 0.4 / WATCHDOG_RATE
     for _ in range(round(FIRST_COMMAND_LIMIT / kick_period)):
@@ -285,7 +279,7 @@ def _await_first_command(pipe: Pipe, control: Control | ServoProgram) -> bytes |
     return f"no command for {FIRST_COMMAND_LIMIT:g} s".encode()
 
 
-def _follow(pipe: Pipe, control: Control | ServoProgram, rate: float, clock: Clock) -> bytes | None:
+def _follow(pipe: Connection, control: Control | ServoProgram, rate: float, clock: Clock) -> bytes | None:
     """Pass commands on, to ur_rtde every period, until asked to stop (None) or something is wrong (what)."""
     path, heard, tick = DelayedPath(rate), clock.now(), clock.now()
     step: Callable[[], bool]
@@ -348,7 +342,7 @@ def _die_after(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def _say(pipe: Pipe, message: bytes) -> None:
+def _say(pipe: Connection, message: bytes) -> None:
     try:
         pipe.send_bytes(message)
     except OSError:

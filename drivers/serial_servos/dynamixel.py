@@ -15,11 +15,9 @@ from drivers.serial_servos.packets import (
     BULK_READ,
     FAST_BULK_READ,
     FAST_SYNC_READ,
-    READ,
     SYNC_READ,
-    SYNC_WRITE,
-    WRITE,
     Packet,
+    ServoProtocol,
     scanned,
 )
 
@@ -32,10 +30,10 @@ LONGEST = 2048
 """Most bytes behind the length; what says more is no packet."""
 
 
-class DynamixelProtocol:
-    """Implements `drivers.serial_servos.packets.ServoProtocol`."""
+class DynamixelProtocol(ServoProtocol):
+    """Protocol 2.0, with bulk and fast reads."""
 
-    name = "dynamixel"
+    name, word = "dynamixel", 2
 
     def request(self, motor: int, instruction: int, data: bytes = b"") -> bytes:
         """An instruction as bytes."""
@@ -43,28 +41,14 @@ class DynamixelProtocol:
         packet = HEADER + bytes([motor]) + (len(body) + 2).to_bytes(2, "little") + body
         return packet + crc16(packet).to_bytes(2, "little")
 
-    def read(self, motor: int, address: int, size: int) -> bytes:
-        """The request for bytes of one servo's memory."""
-        return self.request(motor, READ, _words(address, size))
-
-    def write(self, motor: int, address: int, data: bytes) -> bytes:
-        """The request that writes them."""
-        return self.request(motor, WRITE, _words(address) + data)
-
     def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
         """The request for the same bytes of several servos; `fast` in one packet."""
-        return self.request(BROADCAST, FAST_SYNC_READ if fast else SYNC_READ, _words(address, size) + bytes(motors))
+        return self.request(BROADCAST, FAST_SYNC_READ if fast else SYNC_READ, self.words(address, size) + bytes(motors))
 
     def bulk_read(self, addresses: Mapping[int, int], size: int, *, fast: bool = False) -> bytes:
         """The request for bytes of several servos, id → where in each; `fast` in one packet."""
-        rows = b"".join(bytes([motor]) + _words(address, size) for motor, address in addresses.items())
+        rows = b"".join(bytes([motor]) + self.words(address, size) for motor, address in addresses.items())
         return self.request(BROADCAST, FAST_BULK_READ if fast else BULK_READ, rows)
-
-    def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
-        """The request that writes equally many bytes to several servos; none answers."""
-        size = len(next(iter(rows.values())))
-        parts = b"".join(bytes([motor]) + data for motor, data in rows.items())
-        return self.request(BROADCAST, SYNC_WRITE, _words(address, size) + parts)
 
     def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
         """Return what a servo answers."""
@@ -146,7 +130,3 @@ def _crc_entry(index: int) -> int:
 
 
 _CRC = [_crc_entry(index) for index in range(256)]
-
-
-def _words(*values: int) -> bytes:
-    return b"".join(value.to_bytes(2, "little") for value in values)

@@ -6,9 +6,7 @@ protocol manual of the SCS series; instructions as in its library (`feetech-serv
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-from drivers.serial_servos.packets import BROADCAST, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet, scanned
+from drivers.serial_servos.packets import Packet, ServoProtocol, scanned
 
 HEADER = b"\xff\xff"
 SHORTEST = 6
@@ -17,39 +15,15 @@ LONGEST = 0xFD
 """Largest value of the byte that says the length: parameters and two."""
 
 
-class FeetechProtocol:
-    """Implements `drivers.serial_servos.packets.ServoProtocol`."""
+class FeetechProtocol(ServoProtocol):
+    """The protocol as `ServoProtocol` has it."""
 
-    name = "feetech"
+    name, word = "feetech", 1
 
     def request(self, motor: int, instruction: int, data: bytes = b"") -> bytes:
         """An instruction as bytes."""
         body = bytes([motor, len(data) + 2, instruction]) + data
         return HEADER + body + bytes([_sum(body)])
-
-    def read(self, motor: int, address: int, size: int) -> bytes:
-        """The request for bytes of one servo's memory."""
-        return self.request(motor, READ, bytes([address, size]))
-
-    def write(self, motor: int, address: int, data: bytes) -> bytes:
-        """The request that writes them."""
-        return self.request(motor, WRITE, bytes([address]) + data)
-
-    def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
-        """The request for the same bytes of several servos, which answer one after the other."""
-        if fast:
-            raise ValueError("Feetech servos have no fast sync read")
-        return self.request(BROADCAST, SYNC_READ, bytes([address, size, *motors]))
-
-    def bulk_read(self, addresses: Mapping[int, int], size: int, *, fast: bool = False) -> bytes:
-        """They have none."""
-        raise ValueError("Feetech servos have no bulk read")
-
-    def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
-        """The request that writes equally many bytes to several servos; none answers."""
-        size = len(next(iter(rows.values())))
-        parts = b"".join(bytes([motor]) + data for motor, data in rows.items())
-        return self.request(BROADCAST, SYNC_WRITE, bytes([address, size]) + parts)
 
     def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
         """Return what a servo answers: as a request, with its errors in the instruction's place."""
@@ -59,19 +33,9 @@ class FeetechProtocol:
         """Bytes of an answer with so many data."""
         return SHORTEST + size
 
-    def fast_answer_size(self, size: int, count: int) -> int:
-        """There is none."""
-        raise ValueError("Feetech servos have no fast sync read")
-
     def answers(self, buffer: bytearray) -> tuple[list[Packet], int]:
         """Take whole packets from the front of a buffer, and how many bytes belonged to none."""
         return scanned(buffer, HEADER, 4, _size, _packet)
-
-    requests = answers
-
-    def fast_answers(self, packet: Packet, size: int) -> list[Packet]:
-        """There are none."""
-        raise ValueError("Feetech servos have no fast sync read")
 
 
 def _size(buffer: bytearray) -> int:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import can
 import numpy as np
 
 from daq.robot.schema import Robot
 from drivers.can.bus import close_bus, open_bus
+from drivers.can.settings import CanSettings
 from drivers.core.clock import Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError, UsageError
 from sim_drivers.can.bus_load import Frame
@@ -26,19 +26,6 @@ NO_FRAME = 0.005
 """[s] that a server waits after something on the bus that is no frame."""
 
 
-class BusSettings(Protocol):
-    """Address of a bus, as python-can names it."""
-
-    @property
-    def interface(self) -> str: ...  # noqa: D102
-    @property
-    def channel(self) -> str | int: ...  # noqa: D102
-    @property
-    def bitrate(self) -> int: ...  # noqa: D102
-    @property
-    def options(self) -> Mapping[str, object]: ...  # noqa: D102
-
-
 class BusServer(FaultyServer):
     """A device on a bus that `start` opens."""
 
@@ -46,7 +33,7 @@ class BusServer(FaultyServer):
         self,
         kind: ServerKind,
         joints: Sequence[str],
-        bus: BusSettings,
+        bus: CanSettings,
         clock: Clock,
         beside: Sequence[Server] = (),
         faults: Sequence[FaultEntry] = FAULTS,

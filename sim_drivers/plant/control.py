@@ -6,8 +6,8 @@ arrays are (n,), units N·m, rad, s.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -55,16 +55,6 @@ class Reference:
         return Reference(np.array(position, dtype=np.float64), zeros, zeros)
 
 
-class JointController(Protocol):
-    """Drive torques from measured position and velocity."""
-
-    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Torque (n,) [N·m] that the drives shall give until the next call."""
-
-    def limit_torque(self, limit: FloatArray) -> None:
-        """Keep the torque within (n,) [N·m] from now on."""
-
-
 class ErrorIntegral:
     """Integral of the position error over periods [s], stopped for the joints whose drive saturates.
 
@@ -88,7 +78,22 @@ class ErrorIntegral:
         return np.minimum(np.maximum(torque, -self.limit), self.limit)
 
 
-class Pid:
+class JointController(ABC):
+    """Drive torques from measured position and velocity, within limits."""
+
+    def __init__(self, period: float, torque_limit: FloatArray) -> None:
+        self._integral = ErrorIntegral(period, torque_limit)
+
+    @abstractmethod
+    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Torque (n,) [N·m] that the drives shall give until the next call."""
+
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Keep the torque within (n,) [N·m] from now on."""
+        self._integral.limit = limit
+
+
+class Pid(JointController):
     """Independent joints: PID on the encoder, with the rigid-body torque of the target fed forward (gravity at rest).
 
     Args:
@@ -109,14 +114,13 @@ class Pid:
         period: float,
         torque_limit: FloatArray,
     ) -> None:
+        super().__init__(period, torque_limit)
         self._arm = arm
         self._stiffness = inertia * bandwidth**2
         self._damping = 2.0 * DAMPING_RATIO * inertia * bandwidth
         self._integral_gain = INTEGRAL_SHARE * inertia**2 / largest_inertia * bandwidth**3
-        self._integral = ErrorIntegral(period, torque_limit)
 
-    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Torque (n,) [N·m] until the next call."""
+    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:  # noqa: D102
         error = target.position - position
         return self._integral.limited(
             self._stiffness * error
@@ -125,12 +129,8 @@ class Pid:
             + self._arm.inverse(target.position, target.velocity, target.acceleration)
         )
 
-    def limit_torque(self, limit: FloatArray) -> None:
-        """Keep the torque within (n,) [N·m] from now on."""
-        self._integral.limit = limit
 
-
-class ComputedTorque:
+class ComputedTorque(JointController):
     """Inverse dynamics of the target's acceleration corrected by PID, plus the friction of the target's motion.
 
     Args:
@@ -144,15 +144,14 @@ class ComputedTorque:
     def __init__(
         self, arm: RigidArm, friction: FrictionParameters, bandwidth: float, period: float, torque_limit: FloatArray
     ) -> None:
+        super().__init__(period, torque_limit)
         self._arm = arm
         self._friction = friction
         self._stiffness = bandwidth**2
         self._damping = 2.0 * DAMPING_RATIO * bandwidth
         self._integral_gain = INTEGRAL_SHARE * bandwidth**3
-        self._integral = ErrorIntegral(period, torque_limit)
 
-    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Torque (n,) [N·m] until the next call."""
+    def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:  # noqa: D102
         error = target.position - position
         acceleration = (
             target.acceleration
@@ -166,10 +165,6 @@ class ComputedTorque:
             + self._friction.offset
         )
         return self._integral.limited(self._arm.inverse(position, velocity, acceleration) + friction)
-
-    def limit_torque(self, limit: FloatArray) -> None:
-        """Keep the torque within (n,) [N·m] from now on."""
-        self._integral.limit = limit
 
 
 class Braking:

@@ -198,9 +198,8 @@ class SerialServoServer(FaultyServer):
 
     def _obeyed(self, servo: SimulatedServo, request: Packet, now: float) -> bytes:
         """Return what a servo answers to a request of its own."""
-        size_of_address = 1 if self._protocol.name == "feetech" else 2
-        address = int.from_bytes(request.data[:size_of_address], "little")
-        rest = request.data[size_of_address:]
+        word = self._protocol.word
+        address, rest = int.from_bytes(request.data[:word], "little"), request.data[word:]
         data, error = b"", 0
         match request.code:
             case c if c == PING:
@@ -221,7 +220,7 @@ class SerialServoServer(FaultyServer):
     def _obeyed_by_all(self, request: Packet, listening: list[SimulatedServo], now: float) -> tuple[bytes, float]:
         """Return what the servos answer to a request to all of them, and how long they wait."""
         by_id = {servo.motor.id: servo for servo in listening}
-        word = 1 if self._protocol.name == "feetech" else 2
+        word = self._protocol.word
         address, size = (int.from_bytes(request.data[k : k + word], "little") for k in (0, word))
         rest = request.data[2 * word :]
         if request.code == SYNC_WRITE:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-from typing import Protocol
 
 from drivers.canopen402.protocol.objects import GUARDING_TOGGLE, STATE_BOOT_UP
 from drivers.canopen402.settings import HEARTBEATS_MISSED
@@ -13,60 +12,36 @@ from drivers.core.text import counted
 _STATE = 0x7F
 
 
-class Presence(Protocol):
-    """Judges what drives say of themselves in frames of the identifier 0x700 + node id; drives go by their index."""
+class Heartbeats:
+    """Drives that send their heartbeat by themselves, once a period [s]; they go by their index.
 
-    @property
-    def limit(self) -> float:
-        """Return how long [s] a drive may be silent, about."""
+    Attributes:
+        limit: how long [s] a drive may be silent, about.
+        back: what there is to say of a drive that is heard again.
+    """
 
-    @property
-    def back(self) -> str:
-        """Return what there is to say of a drive that is heard again."""
+    back = "its heartbeat is back"
+
+    def __init__(self, count: int, period: float) -> None:
+        self._last = [math.nan] * count
+        self.limit = HEARTBEATS_MISSED * period
 
     def start(self, now: float) -> None:
-        """Begin anew at a time [s, host's monotonic clock]."""
+        """Heartbeats are due from `now` [s, host's monotonic clock] on."""
+        self._last = [now] * len(self._last)
 
     def take(self, index: int, content: int, arrived: float) -> None:
-        """A drive's frame, whose first byte is `content`; arrival [s, host's monotonic clock]."""
+        """A heartbeat, or a boot-up message, whose first byte is `content`; arrival [s, host's monotonic clock]."""
+        del content
+        self._last[index] = arrived
 
     def missing(self, index: int, drained: float) -> str:
         """Return why a drive counts as gone, in words; empty where it does not.
 
         All that arrived before `drained` [s, host's monotonic clock] has been taken.
         """
-
-
-class Heartbeats:
-    """Drives that send their heartbeat by themselves, once a period [s]."""
-
-    def __init__(self, count: int, period: float) -> None:
-        self._last = [math.nan] * count
-        self._limit = HEARTBEATS_MISSED * period
-
-    @property
-    def limit(self) -> float:
-        """Return how long [s] a drive may be silent."""
-        return self._limit
-
-    @property
-    def back(self) -> str:
-        """Return what there is to say of a drive that is heard again."""
-        return "its heartbeat is back"
-
-    def start(self, now: float) -> None:
-        """Heartbeats are due from `now` [s] on."""
-        self._last = [now] * len(self._last)
-
-    def take(self, index: int, content: int, arrived: float) -> None:
-        """A heartbeat, or a boot-up message."""
-        del content
-        self._last[index] = arrived
-
-    def missing(self, index: int, drained: float) -> str:
-        """Return why a drive counts as gone; empty where it does not."""
         age = drained - self._last[index]
-        return f"no heartbeat for {age:.2f} s" if age > self._limit else ""
+        return f"no heartbeat for {age:.2f} s" if age > self.limit else ""
 
 
 class NodeGuarding:
@@ -74,22 +49,18 @@ class NodeGuarding:
 
     An answer whose bit does not alternate counts as none, as the standard has it: one that is lost makes the next one
     invalid, too. So many requests in a row as `factor` may stay without a valid answer.
+
+    Attributes:
+        limit, back: as those of `Heartbeats`.
     """
+
+    back = "it answers node guarding again"
 
     def __init__(self, count: int, period: float, factor: int) -> None:
         self._count, self._period, self._factor = count, period, factor
+        self.limit = period * factor
         self._lock = threading.Lock()
         self.start(0.0)
-
-    @property
-    def limit(self) -> float:
-        """Return how long [s] a drive may be silent."""
-        return self._period * self._factor
-
-    @property
-    def back(self) -> str:
-        """Return what there is to say of a drive that is heard again."""
-        return "it answers node guarding again"
 
     def start(self, now: float) -> None:
         """Forget what was asked and answered."""
@@ -129,3 +100,7 @@ class NodeGuarding:
             answers = counted(invalid, "answer(s) to node guarding in a row")
             return f"{answers} without a toggle bit that alternates (is another master guarding it?)"
         return f"no answer to {self._factor} requests of node guarding"
+
+
+Presence = Heartbeats | NodeGuarding
+"""What drives say of themselves in frames of the identifier 0x700 + node id."""
