@@ -14,6 +14,7 @@ from daq.recording.recording import Level
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DynidError, ImportFileError
 from drivers.core.files import MOST_VALUES
+from drivers.core.text import first_few
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,7 @@ def printable(name: object, limit: int = 80) -> str:
 
 def listed(names: object, limit: int = 12) -> str:
     """Names for a message, comma-separated, the tail counted instead of shown."""
-    texts = [printable(name) for name in names]  # type: ignore[attr-defined]
-    shown = ", ".join(texts[:limit])
-    return shown if len(texts) <= limit else f"{shown} and {len(texts) - limit} more"
+    return first_few([printable(name) for name in names], limit)  # type: ignore[attr-defined]
 
 
 def check_count(values: int, path: Path) -> None:

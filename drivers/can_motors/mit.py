@@ -14,7 +14,7 @@ DAMIAO_REQUEST = 0x7FF
 """Identifier of requests to any Damiao motor: registers and state."""
 READ, WRITE, STATE = 0x33, 0x55, 0xCC
 TIMEOUT_COUNT = 50e-6
-"""[s] of a count of a Damiao motor's command time-out."""
+"""[s] of a count of a Damiao or RobStride motor's command time-out."""
 MIT_MODE = 1
 WHOLE_NUMBERS = frozenset({*range(7, 11), *range(13, 17), 35, 36})
 """Numbers of a Damiao motor's registers that hold unsigned integers; the others hold floating-point numbers."""

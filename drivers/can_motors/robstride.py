@@ -8,12 +8,10 @@ from typing import ClassVar
 
 from drivers.can.bus import EXTENDED
 from drivers.can_motors.codec import Answer, CanFrame, MotorCodec, from_counts, to_counts
-from drivers.can_motors.mit import full_scale
+from drivers.can_motors.mit import TIMEOUT_COUNT, full_scale
 
 GOAL, FEEDBACK, ENABLE, DISABLE, READ, WRITE = 1, 2, 3, 4, 17, 18
 """Types of frames."""
-TIMEOUT_COUNT = 50e-6
-"""[s] of a count of the command time-out."""
 RUNNING = 2
 """State of a motor that drives."""
 FAULT_BITS = 0x3F

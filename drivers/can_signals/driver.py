@@ -22,19 +22,16 @@ from drivers.core.errors import ConnectionFailedError, ConnectionLostError, Driv
 from drivers.core.text import counted
 from drivers.first_step import check_first_step, finite_position
 from drivers.life_cycle import LifeCycle
+from drivers.polled_arm import SILENT_PERIODS, STOP_LIMIT
 from drivers.standstill import REST_WINDOW, StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
-SILENT_PERIODS = 20
-"""Without a row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 STOP_INTERVAL = 0.01
 """The stop frames are sent every so many seconds until the arm is at rest: it may have missed the first ones."""
 STOP_ATTEMPTS = 3
 """So many sendings in a row may fail before a stop is given up."""
 LONGEST_WATCHDOG = 1.0
 """A watchdog that takes longer than this [s] is worth a word before a motion."""
-STOP_LIMIT = 2.0
-"""How long [s] an arm may take to come to rest."""
 
 GAP_PERIODS = 2.5
 """After so many periods without a row, and half a window of rest, the arm may have moved."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral
 from typing import Any
@@ -26,6 +26,12 @@ def counted(count: float, noun: str) -> str:
     """A number of things whose plural ends in s, there or at `(s)`: 1 contact, 0.5 contacts, 2 frames dropped."""
     words = noun if "(s)" in noun else f"{noun}(s)"
     return f"{count if isinstance(count, Integral) else f'{count:g}'} {words.replace('(s)', '' if count == 1 else 's')}"
+
+
+def first_few(texts: Sequence[str], most: int, separator: str = ", ") -> str:
+    """The first texts, and how many more there are."""
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return separator.join(texts[:most]) + more
 
 
 def rounded(value: float) -> str:

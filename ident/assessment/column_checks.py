@@ -11,6 +11,7 @@ from daq.recording.quality.outliers import Cause, PositionJump
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.unit_plausibility import DEGREES, displacement_ratios
 from drivers.core.arrays import FloatArray, true_runs
+from drivers.core.text import first_few
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -33,7 +34,7 @@ MOVES = 0.1
 """Range of positions [rad or m] from which on a joint counts as moving there."""
 
 MOST_SHOWN = 4
-"""Jumps that a sentence lists."""
+"""Jumps, or standstills of encoders, that a sentence lists."""
 
 FROZEN, FROZEN_ROWS, FROZEN_MOVES = 0.5, 20.0, 0.1
 """Time [s] of one value from which on a motor signal stands still, in how many times the usual run of one value, and
@@ -67,10 +68,9 @@ def jump_checks(jumps: Sequence[PositionJump], first: float, of: str = "") -> li
     for cause, (name, meaning) in _JUMPS.items():
         found = [jump for jump in jumps if jump.cause == cause]
         if found:
-            shown = [f"{one.joint} by {one.size:+.3g} at {one.time - first:.2f} s" for one in found[:MOST_SHOWN]]
-            more = f" and {len(found) - MOST_SHOWN} more" if len(found) > MOST_SHOWN else ""
-            text = f"{of}the position jumps between two samples of {'; '.join(shown)}{more}: {meaning}"
-            checks.append(raised(name, text, sorted({one.joint for one in found}) if cause != "rows" else []))
+            shown = [f"{jump.joint} by {jump.size:+.3g} at {jump.time - first:.2f} s" for jump in found]
+            text = f"{of}the position jumps between two samples of {first_few(shown, MOST_SHOWN, '; ')}: {meaning}"
+            checks.append(raised(name, text, sorted({jump.joint for jump in found}) if cause != "rows" else []))
     return checks
 
 

@@ -18,8 +18,8 @@ from daq.recording.quality.stream_quality import StreamQuality, stream_quality
 from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.unit_plausibility import SPEED_QUANTILE, displacement_ratios, other_unit
-from drivers.core.text import counted, percent_text, percentage_text
-from ident.assessment.column_checks import column_checks, jump_checks
+from drivers.core.text import counted, first_few, percent_text, percentage_text
+from ident.assessment.column_checks import MOST_SHOWN, column_checks, jump_checks
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
@@ -33,8 +33,6 @@ CLIPPED_PERCENT = 0.1
 FILLED_PERCENT = 0.1
 """Share of filled samples [%] beyond which they are reported."""
 
-MOST_SHOWN = 4
-"""Standstills of encoders that a sentence lists."""
 
 MOVING = {"velocity": "velocity goes on", "target": "target goes on", "jump": "joint moves on (it jumps at the end)"}
 """What shows that a joint moves whose encoder stands still."""
@@ -189,9 +187,8 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
             f"{MOVING[encoder.evidence]}"
             for encoder in stale.encoders
         ]
-        more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to be left out"
-        text = f"{of}the position is stuck: {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
+        text = f"{of}the position is stuck: {first_few(shown, MOST_SHOWN, '; ')}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
     if stale.off is not None and stale.off.any():
         share = percent_text(float(np.mean(stale.off)), 2)

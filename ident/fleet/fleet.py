@@ -30,6 +30,7 @@ from ident.report.section import Tile
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.tasks.history import History
 from ident.tasks.options import silent
+from ident.verdict.verdict import GRADES
 
 PRELOADED = ["ident.fleet.job", "ident.tasks.identification", "jinja2", "pinocchio", "scipy.special", "threadpoolctl"]
 """What every job needs, imported once for all."""
@@ -107,8 +108,6 @@ def _failed(job: Job, why: str) -> JobOutcome:
 FLEET_RESULT = "fleet.json"
 REFRESH = 5.0
 """The page is written so often while jobs run, and loads itself again [s]."""
-
-GRADES = ("good", "usable", "poor")
 
 
 @dataclass(frozen=True)

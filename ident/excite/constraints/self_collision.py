@@ -14,7 +14,7 @@ from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeome
 from ident.excite.constraints.hull_distance import HullDistances, Nearest, nearest_points
 from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.constraints.soft_maximum import soft_maximum
-from ident.excite.constraints.workspace import SAMPLES_AT_ONCE
+from ident.excite.constraints.workspace import CONFIGURATIONS, SAMPLES_AT_ONCE, STILL
 from ident.excite.path import JointPath
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
@@ -26,9 +26,6 @@ ALWAYS_CLOSE = 0.95
 OVERLAP_DISTANCE = 0.02
 """Links nearer than this [m] by construction are not checked: their capsules always overlap."""
 
-_CONFIGURATIONS = 500
-_STILL = 1e-9
-"""[rad or m]: a joint that moves by less does not follow."""
 
 HULL_DISTANCE = 5e-3
 """Where capsules are nearer than this [m], the links' convex hulls are asked."""
@@ -87,8 +84,8 @@ def _anywhere(model: DynamicModel) -> FloatArray:
     Joints that move a loop stay within their limits, where the loop closes: beyond them its bars would go through each
     other. The others go anywhere.
     """
-    share = np.random.default_rng(0).uniform(-1.0, 1.0, (model.dof, _CONFIGURATIONS))
-    within, moving = random_states(model, _CONFIGURATIONS)[0], _moves_loops(model)
+    share = np.random.default_rng(0).uniform(-1.0, 1.0, (model.dof, CONFIGURATIONS))
+    within, moving = random_states(model, CONFIGURATIONS)[0], _moves_loops(model)
     for row, (joint, limits) in enumerate(zip(model.active, model.limits, strict=True)):
         low, high = limits.position
         if moving[row]:
@@ -109,7 +106,7 @@ def _moves_loops(model: DynamicModel) -> npt.NDArray[np.bool_]:
     # One joint after the other goes from one position within the limits to another.
     positions = np.where(np.eye(model.dof, dtype=bool), there, here).T
     followed = model.tree_position(np.column_stack([here, positions]))[passive]
-    return np.asarray(np.any(np.abs(followed[:, 1:] - followed[:, :1]) > _STILL, axis=0))
+    return np.asarray(np.any(np.abs(followed[:, 1:] - followed[:, :1]) > STILL, axis=0))
 
 
 class _PairDistances:

@@ -36,8 +36,10 @@ SAMPLES_AT_ONCE = 2000
 """Samples of a long path that are worked on together."""
 
 _ON_AXIS = 1e-12  # [m]
-_STILL = 1e-9  # [m]
-_CONFIGURATIONS = 500
+STILL = 1e-9
+"""[rad or m]: a joint that moves by less does not follow."""
+CONFIGURATIONS = 500
+"""Random ones that show what is so by construction."""
 
 _SAMPLES = 2000
 
@@ -220,14 +222,14 @@ def _moving_points(model: DynamicModel, geometry: ArmGeometry, workspace: Worksp
     links = np.concatenate([[model.tool_link], geometry.links, geometry.links])
     both = np.unique(np.column_stack([links, places]), axis=0)
     links, places = both[:, 0].astype(np.intp), both[:, 1:]
-    moving = _reach(model, links, places) > _STILL
+    moving = _reach(model, links, places) > STILL
     return places[moving], links[moving]
 
 
 def _moving_capsules(model: DynamicModel, geometry: ArmGeometry) -> IndexArray:
     """Indices of the capsules of which some joint moves an end."""
     reach = np.maximum(_reach(model, geometry.links, geometry.starts), _reach(model, geometry.links, geometry.ends))
-    return np.flatnonzero(reach > _STILL)
+    return np.flatnonzero(reach > STILL)
 
 
 def _refuse_inescapable(
@@ -239,7 +241,7 @@ def _refuse_inescapable(
         distances = box_distances(points, points, obstacle.shape)
     else:
         distances = above_plane(points, obstacle.shape)
-    still = _reach(model, links, places) <= _STILL
+    still = _reach(model, links, places) <= STILL
     inside = np.flatnonzero(still & (distances.value[:, 0] - radii < obstacle.clearance))
     if len(inside):
         name = model.joints[links[inside[0]]].name
@@ -321,10 +323,10 @@ def _can_be_clear(
         RobotFileError: the centre of one is below the surface in every configuration.
     """
     links = geometry.links[capsules]
-    placements = place_arm(model, random_states(model, _CONFIGURATIONS)[0])
+    placements = place_arm(model, random_states(model, CONFIGURATIONS)[0])
     height = above_plane(placements.points(links, places), plane).value
     highest = height.max(axis=1)
-    below = np.flatnonzero(highest < -_STILL)
+    below = np.flatnonzero(highest < -STILL)
     if len(below):
         name, depth = model.joints[links[below[0]]].name, -highest[below[0]]
         raise RobotFileError(
@@ -333,7 +335,7 @@ def _can_be_clear(
             hint="give the height of the mounting surface as workspace.floor, or mounting: free",
         )
     # Of what stays at its height, such as a shoulder, a motion changes nothing.
-    return np.asarray((highest >= geometry.radii[capsules] + obstacle.clearance) & (np.ptp(height, axis=1) > _STILL))
+    return np.asarray((highest >= geometry.radii[capsules] + obstacle.clearance) & (np.ptp(height, axis=1) > STILL))
 
 
 def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:

@@ -15,6 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from drivers.core.arrays import FloatArray, IntArray
 from drivers.core.errors import DataError
+from drivers.core.text import first_few
 from ident.model.base_parameters import BaseParameters, gravity_rows
 from ident.model.dynamic_model import DynamicModel
 from ident.signals.joint_signals import JointSignals
@@ -255,4 +256,4 @@ def pose_text(model: DynamicModel, pose: FloatArray, direction: IntArray) -> str
         for name, value, sign, slides in zip(model.joint_names, pose, direction, model.sliding, strict=True)
         if sign
     ]
-    return ", ".join(moving[:2]) + (f" and {len(moving) - 2} more" if len(moving) > 2 else "")
+    return first_few(moving, 2)

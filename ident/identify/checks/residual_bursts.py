@@ -17,6 +17,7 @@ import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.errors import IdentificationError
+from drivers.core.text import first_few
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.data_split import PreparedRun
 from ident.identify.identification import Identification
@@ -131,10 +132,9 @@ def burst_checks(identification: Identification) -> list[Check]:
     lower = kept_squares < (1.0 - LEAST_SHARE) * squares
     if not shown or not lower.any() or np.sum(kept_squares) > MOST_ERROR**2 * np.sum(power):
         return []
-    more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
     robust = "" if identification.choices.estimator.name in ROBUST else ", or compare --method irls"
     text = (
-        f"the residual has short bursts, {larger:.0f} times the usual residual: {', '.join(shown[:MOST_SHOWN])}{more}; "
+        f"the residual has short bursts, {larger:.0f} times the usual residual: {first_few(shown, MOST_SHOWN)}; "
         f"if something touched the arm, leave these times out{robust}"
     )
     return [raised("residual-bursts", text)]

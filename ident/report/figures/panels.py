@@ -30,6 +30,9 @@ TIME_AXIS: dict[str, Any] = {"title": {"text": "time [s]"}, "zeroline": False}
 HEADING, EDGE, TICKS, TITLE = 24, 6, 22, 18
 """Room of a heading above a panel, and below it of nothing, of tick labels, of an axis title [px]."""
 
+SMALL_PANEL = 66
+"""Height of a panel of a figure at a glance [px]."""
+
 WIDE_ROOM, ROOM = 700, 300
 """For a legend in a window, beside the tool bar, and on a phone [px]."""
 

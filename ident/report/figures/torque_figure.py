@@ -14,7 +14,7 @@ from drivers.core.units import joint_unit
 from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, bold, titled
-from ident.report.figures.panels import TIME_AXIS, Panel, in_rows, panel_figure
+from ident.report.figures.panels import SMALL_PANEL, TIME_AXIS, Panel, in_rows, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, lay_out, legend, points_per_trace, points_trace
 from ident.result.schema import Result
 from ident.views.number_text import number, percent, whole
@@ -22,8 +22,8 @@ from ident.views.number_text import number, percent, whole
 PANEL = 150
 """Height of a panel [px]."""
 
-SMALL_PANEL, SMALL_POINTS = 66, 300
-"""Sizes of the figure at a glance: a panel's height [px], points of a line."""
+SMALL_POINTS = 300
+"""Points of a line in the figure at a glance."""
 
 LINES = {"residual": (3, RESIDUAL, 1.0), "measured": (1, MEASURED, 2.0), "predicted": (2, PREDICTED, 1.2)}
 """Line → its place in the legend, its colour and its width [px]; in the order in which they are drawn."""

@@ -13,7 +13,7 @@ from drivers.core.units import joint_unit
 from ident.friction.table import TERMS, Operands, Term
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, bold, titled
-from ident.report.figures.panels import Panel, in_rows, panel_figure
+from ident.report.figures.panels import SMALL_PANEL, Panel, in_rows, panel_figure
 from ident.report.figures.traces import curve_trace, points_trace, some_of
 from ident.report.section import ReportData, ReportSection
 from ident.result.friction import JointFrictionResult
@@ -27,8 +27,8 @@ DRAWN = tuple(term for term in TERMS if not term.needs)
 PANEL = 190
 SCATTER_POINTS = 1200
 PAGE_SCATTER_POINTS = 4_200
-SMALL_PANEL, SMALL_POINTS = 66, 150
-"""Sizes of the figure at a glance: a panel's height [px], points of a joint."""
+SMALL_POINTS = 150
+"""Points of a joint in the figure at a glance."""
 
 CURVE_POINTS = 60
 """Per direction of motion."""

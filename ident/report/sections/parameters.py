@@ -11,7 +11,7 @@ from ident.assessment.validation import Fit
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import KIND_STYLES, Figure, plain
-from ident.report.figures.panels import IntervalSeries, Panel, in_rows, interval_panel, panel_figure
+from ident.report.figures.panels import SMALL_PANEL, IntervalSeries, Panel, in_rows, interval_panel, panel_figure
 from ident.report.figures.traces import points_trace
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.consistent_model import ConsistentModel
@@ -52,8 +52,8 @@ def reference_values(data: ReportData) -> ReferenceValues | None:
 
 REFERENCE_MARKER = "#7C828A"
 
-SMALL_PANEL, SMALL_COLUMNS, MOST_NAMES = 66, 3, 8
-"""Sizes of the figure at a glance: a panel's height [px], panels of a row, names with room below it."""
+SMALL_COLUMNS, MOST_NAMES = 3, 8
+"""Sizes of the figure at a glance: panels of a row, names with room below it."""
 
 
 def section(data: ReportData) -> ReportSection:
