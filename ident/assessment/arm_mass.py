@@ -54,14 +54,10 @@ LINK_SHARE = 0.6
 
 @dataclass(frozen=True)
 class ArmMass:
-    """What an arm of a size weighs.
+    """What an arm of a size weighs."""
 
-    Attributes:
-        expected: [kg].
-        least, most: [kg] of what can be taken for an arm.
-    """
-
-    expected: float
+    expected: float  # [kg]
+    # least, most: [kg] of what can be taken for an arm
     least: float
     most: float
 

@@ -28,24 +28,15 @@ from ident.signals.segments import played_window
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """A recorded motion beside the model of its arm.
+    """A recorded motion beside the model of its arm."""
 
-    Attributes:
-        robot_file: of the arm.
-        model: of the arm.
-        base: its base parameters.
-        kernel: of their columns.
-        positions: as recorded.
-        measured: positions and torques as recorded; None where no torque is known.
-        prepared: the played motion by the default choices, torque not shifted; the torque is 0 where none is known.
-    """
-
-    robot_file: RobotFile
-    model: DynamicModel
-    base: BaseParameters
-    kernel: RegressorKernel
-    positions: JointPositions
-    measured: JointSignals | None
+    robot_file: RobotFile  # of the arm
+    model: DynamicModel  # of the arm
+    base: BaseParameters  # its base parameters
+    kernel: RegressorKernel  # of their columns
+    positions: JointPositions  # as recorded
+    measured: JointSignals | None  # positions and torques as recorded; None where no torque is known
+    # the played motion by the default choices, torque not shifted; the torque is 0 where none is known
     prepared: Prepared
 
     @cached_property
@@ -88,23 +79,14 @@ def _measured(recording: Recording, robot_file: RobotFile) -> JointSignals | Non
 
 @dataclass(frozen=True)
 class ExcitationReached:
-    """Figures of a recorded motion; lists have one entry per joint.
+    """Figures of a recorded motion; lists have one entry per joint."""
 
-    Attributes:
-        condition: of the filtered regressor, columns not normalised.
-        scaled_condition: the same with columns of unit length.
-        unexcited: names of the base parameters that the motion does not excite.
-        position_range: largest minus smallest position [rad or m].
-        velocity_reached: largest speed [rad/s or m/s].
-        velocity_share_percent: the same, of the joint's limit [%].
-    """
-
-    condition: float
-    scaled_condition: float
-    unexcited: list[str]
-    position_range: list[float]
-    velocity_reached: list[float]
-    velocity_share_percent: list[float]
+    condition: float  # of the filtered regressor, columns not normalised
+    scaled_condition: float  # the same with columns of unit length
+    unexcited: list[str]  # names of the base parameters that the motion does not excite
+    position_range: list[float]  # largest minus smallest position [rad or m]
+    velocity_reached: list[float]  # largest speed [rad/s or m/s]
+    velocity_share_percent: list[float]  # the same, of the joint's limit [%]
 
 
 def excitation_reached(motion: RecordedMotion) -> ExcitationReached:

@@ -29,15 +29,10 @@ BLOCKS = 8
 
 @dataclass(frozen=True)
 class Columns:
-    """Recorded column of each joint, and its factor.
+    """Recorded column of each joint, and its factor."""
 
-    Attributes:
-        order: (n,) index of the recorded column.
-        factor: (n,) of it.
-    """
-
-    order: tuple[int, ...]
-    factor: tuple[float, ...]
+    order: tuple[int, ...]  # (n,) index of the recorded column
+    factor: tuple[float, ...]  # (n,) of it
 
     def of(self, values: FloatArray) -> FloatArray:
         """The columns (n, …) so taken."""
@@ -46,48 +41,31 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A segment and its friction's columns.
+    """A segment and its friction's columns."""
 
-    Attributes:
-        segment: as prepared.
-        time: (M,) stamps of the filtered samples [s].
-        friction: (n, c, M) columns that are no link's, filtered like the torque.
-    """
-
-    segment: Segment
-    time: FloatArray
-    friction: FloatArray
+    segment: Segment  # as prepared
+    time: FloatArray  # (M,) stamps of the filtered samples [s]
+    friction: FloatArray  # (n, c, M) columns that are no link's, filtered like the torque
 
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Motion and torque at N instants.
+    """Motion and torque at N instants."""
 
-    Attributes:
-        position, velocity, acceleration: (n, N) [rad, rad/s, rad/s² or m…].
-        torque: (n, N) filtered [N·m or N].
-        counted: (n, N) whether a motor's equation takes part.
-        block: (N,) which of `BLOCKS` consecutive parts an instant belongs to.
-        time: (N,) stamps [s].
-        temperature: (n, N) [K]; None where none was recorded.
-        friction: (n, c, N) columns of no link, filtered like the torque; None where the positions are others.
-        friction_columns: (c,) standard columns of these.
-        tracks: that the instants are taken from.
-        track: (N,) index of each instant's.
-    """
-
+    # position, velocity, acceleration: (n, N) [rad, rad/s, rad/s² or m…]
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    torque: FloatArray
-    counted: npt.NDArray[np.bool_]
-    block: npt.NDArray[np.int64]
-    time: FloatArray
-    temperature: FloatArray | None = None
+    torque: FloatArray  # (n, N) filtered [N·m or N]
+    counted: npt.NDArray[np.bool_]  # (n, N) whether a motor's equation takes part
+    block: npt.NDArray[np.int64]  # (N,) which of `BLOCKS` consecutive parts an instant belongs to
+    time: FloatArray  # (N,) stamps [s]
+    temperature: FloatArray | None = None  # (n, N) [K]; None where none was recorded
+    # (n, c, N) columns of no link, filtered like the torque; None where the positions are others
     friction: FloatArray | None = None
-    friction_columns: tuple[int, ...] = ()
-    tracks: tuple[Track, ...] = ()
-    track: npt.NDArray[np.int64] | None = None
+    friction_columns: tuple[int, ...] = ()  # (c,) standard columns of these
+    tracks: tuple[Track, ...] = ()  # that the instants are taken from
+    track: npt.NDArray[np.int64] | None = None  # (N,) index of each instant's
 
     @property
     def motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:

@@ -265,14 +265,11 @@ def _outlier_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """Consistency of a recording's time stamps.
+    """Consistency of a recording's time stamps."""
 
-    Attributes:
-        velocity_ratios: joint → change of position over ∫velocity dt; joints without a clear relation are left out.
-        clocks: stream → its clock against the host's; streams without their own clock are left out.
-    """
-
+    # joint → change of position over ∫velocity dt; joints without a clear relation are left out
     velocity_ratios: Mapping[str, float]
+    # stream → its clock against the host's; streams without their own clock are left out
     clocks: Mapping[str, ClockEstimate]
 
     @property

@@ -52,43 +52,28 @@ _FORGOTTEN = 0.07  # autocorrelation of filtered white noise that counts as none
 
 @stored(frozen=True)
 class AssumptionTest:
-    """One assumption of one joint.
+    """One assumption of one joint."""
 
-    Attributes:
-        statistic: of the test, χ² or F.
-        p_value: probability of a larger one if the assumption holds.
-        effect: how far the residuals are from it, in the assumption's own measure (see the constants above).
-        violated: whether the test rejects it and the effect is large.
-    """
-
-    statistic: Real
-    p_value: Real
-    effect: Real
-    violated: bool
+    statistic: Real  # of the test, χ² or F
+    p_value: Real  # probability of a larger one if the assumption holds
+    effect: Real  # how far the residuals are from it, in the assumption's own measure (see the constants above)
+    violated: bool  # whether the test rejects it and the effect is large
 
 
 @stored(frozen=True)
 class ResidualTests:
-    """The assumptions of one joint.
+    """The assumptions of one joint."""
 
-    Attributes:
-        joint: its name.
-        residuals: that the fit uses.
-        independent: that lie far enough apart.
-        independence: Ljung-Box; effect: largest |autocorrelation|.
-        linearity: F-test of τ̂², τ̂³, q̇|q̇| and q̇³ beside 1, τ̂, q̇ and sign q̇ (RESET); effect: share of variance explained.
-            None, as the next two, where fewer than `FEWEST_RESIDUALS` are independent.
-        constant_variance: Breusch-Pagan against |q̇| and |τ̂|; effect: ratio of standard deviations.
-        normality: Jarque-Bera; effect: the larger of |skewness| and half the |excess kurtosis|.
-    """
-
-    joint: str
-    residuals: int
-    independent: int
-    independence: AssumptionTest
+    joint: str  # its name
+    residuals: int  # that the fit uses
+    independent: int  # that lie far enough apart
+    independence: AssumptionTest  # Ljung-Box; effect: largest |autocorrelation|
+    # F-test of τ̂², τ̂³, q̇|q̇| and q̇³ beside 1, τ̂, q̇ and sign q̇ (RESET); effect: share of variance explained.
+    # None, as the next two, where fewer than `FEWEST_RESIDUALS` are independent.
     linearity: AssumptionTest | None
+    # Breusch-Pagan against |q̇| and |τ̂|; effect: ratio of standard deviations
     constant_variance: AssumptionTest | None
-    normality: AssumptionTest | None
+    normality: AssumptionTest | None  # Jarque-Bera; effect: the larger of |skewness| and half the |excess kurtosis|
 
 
 @dataclass(frozen=True)

@@ -68,17 +68,11 @@ FINE_STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ServoIdentification:
-    """What an identification gives.
+    """What an identification gives."""
 
-    Attributes:
-        result: as result.json holds it.
-        motions: that were held out, or those of the fit where none were.
-        paths: their roll-outs (N, n) [rad or m].
-    """
-
-    result: ServoResult
-    motions: list[ServoMotion]
-    paths: list[FloatArray]
+    result: ServoResult  # as result.json holds it
+    motions: list[ServoMotion]  # that were held out, or those of the fit where none were
+    paths: list[FloatArray]  # their roll-outs (N, n) [rad or m]
 
 
 def identify_servo(

@@ -122,27 +122,18 @@ class Acceptance:
 
 @dataclass(frozen=True)
 class ModelFigures:
-    """What limits are compared with.
+    """What limits are compared with."""
 
-    Attributes:
-        model: whose errors these are, in words.
-        relative_error: held-out, of all joints; None where not known, as everywhere.
-        joint_relative_error, rmse, motion_rmse: by the joint's name.
-        sliding: whether a joint slides, by its name.
-        consistent: whether physically consistent parameters exist.
-        consistency_cost: held-out error of the consistent model over that of the unconstrained one.
-        verdict: on the model.
-    """
-
-    model: str
-    relative_error: float | None
+    model: str  # whose errors these are, in words
+    relative_error: float | None  # held-out, of all joints; None where not known, as everywhere
+    # joint_relative_error, rmse, motion_rmse: by the joint's name
     joint_relative_error: Mapping[str, float | None]
     rmse: Mapping[str, float | None]
     motion_rmse: Mapping[str, float | None]
-    sliding: Mapping[str, bool]
-    consistent: bool
-    consistency_cost: float | None
-    verdict: Verdict
+    sliding: Mapping[str, bool]  # whether a joint slides, by its name
+    consistent: bool  # whether physically consistent parameters exist
+    consistency_cost: float | None  # held-out error of the consistent model over that of the unconstrained one
+    verdict: Verdict  # on the model
 
 
 def read_limits(path: Path) -> AcceptanceLimits:

@@ -14,24 +14,15 @@ does not show all that is asked. `model`: what was found."""
 
 @dataclass(frozen=True)
 class CheckKind:
-    """What all checks of one name have in common.
+    """What all checks of one name have in common."""
 
-    Attributes:
-        name: stable; part of result.json.
-        subject: what it speaks of.
-        severity: of every check of this name.
-        purposes: that it spoils; none exactly where it is a note.
-        meaning: what it says, as a clause.
-        remedy: what to do, as a sentence.
-        figures: whether a verdict's reason is not the meaning, but the sentence of the check up to its semicolon.
-    """
-
-    name: str
-    subject: Subject
-    severity: Severity
-    purposes: tuple[Purpose, ...]
-    meaning: str
-    remedy: str
+    name: str  # stable; part of result.json
+    subject: Subject  # what it speaks of
+    severity: Severity  # of every check of this name
+    purposes: tuple[Purpose, ...]  # that it spoils; none exactly where it is a note
+    meaning: str  # what it says, as a clause
+    remedy: str  # what to do, as a sentence
+    # whether a verdict's reason is not the meaning, but the sentence of the check up to its semicolon
     figures: bool = False
 
 

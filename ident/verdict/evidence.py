@@ -11,17 +11,12 @@ from drivers.core.text import percent_text
 
 @dataclass(frozen=True)
 class TorqueError:
-    """A held-out error as a ratio of the torque, ‖measured − predicted‖ / ‖measured‖; None where it is not known.
+    """A held-out error as a ratio of the torque, ‖measured − predicted‖ / ‖measured‖; None where it is not known."""
 
-    Attributes:
-        all_samples: rest included.
-        in_motion: motors at rest left out; what a fit sees.
-        graded: that of all samples, for a joint over at least a share of its rated torque: of a joint with hardly any
-            torque, the ratio says nothing. None takes `all_samples`.
-    """
-
-    all_samples: float | None
-    in_motion: float | None = None
+    all_samples: float | None  # rest included
+    in_motion: float | None = None  # motors at rest left out; what a fit sees
+    # that of all samples, for a joint over at least a share of its rated torque: of a joint with hardly any torque, the
+    # ratio says nothing. None takes `all_samples`.
     graded: float | None = None
 
     @property
@@ -45,19 +40,12 @@ class TorqueError:
 
 @dataclass(frozen=True)
 class MotionError:
-    """A simulated motion's error over that of constant velocity; below 1 the simulation is worth something.
+    """A simulated motion's error over that of constant velocity; below 1 the simulation is worth something."""
 
-    Attributes:
-        whole: of all joints together.
-        joints: by the joint's name.
-        errors: root mean square error by the joint's name, with its unit.
-        text: how it was simulated, as a noun: "motion simulated over 1 s without a controller".
-    """
-
-    whole: float
-    joints: Mapping[str, float]
-    errors: Mapping[str, str]
-    text: str
+    whole: float  # of all joints together
+    joints: Mapping[str, float]  # by the joint's name
+    errors: Mapping[str, str]  # root mean square error by the joint's name, with its unit
+    text: str  # how it was simulated, as a noun: "motion simulated over 1 s without a controller"
 
     @property
     def worst(self) -> str:
@@ -67,17 +55,11 @@ class MotionError:
 
 @dataclass(frozen=True)
 class Evidence:
-    """A model on held-out data.
+    """A model on held-out data."""
 
-    Attributes:
-        whole: its torque error over all joints together.
-        joints: that of each, by name.
-        motions: simulated; empty where nothing was.
-    """
-
-    whole: TorqueError
-    joints: dict[str, TorqueError]
-    motions: tuple[MotionError, ...] = field(default=())
+    whole: TorqueError  # its torque error over all joints together
+    joints: dict[str, TorqueError]  # that of each, by name
+    motions: tuple[MotionError, ...] = field(default=())  # simulated; empty where nothing was
 
 
 def known(error: float | None) -> float | None:

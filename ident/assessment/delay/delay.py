@@ -69,19 +69,12 @@ _SETTLED_DELAY = 1e-5
 
 @stored(frozen=True)
 class JointDelay:
-    """One joint's torque against its position [s]; positive where the torque lags.
+    """One joint's torque against its position [s]; positive where the torque lags."""
 
-    Attributes:
-        joint: its name.
-        used: the delay to use.
-        best: estimate for this joint alone; None where its torque shows none.
-        interval: half of its 95 % interval; None where it is not known.
-    """
-
-    joint: str
-    used: float
-    best: Number
-    interval: Number
+    joint: str  # its name
+    used: float  # the delay to use
+    best: Number  # estimate for this joint alone; None where its torque shows none
+    interval: Number  # half of its 95 % interval; None where it is not known
 
 
 class DelaySearch(Stored):
@@ -178,17 +171,11 @@ def delay_checks(search: DelaySearch | None) -> list[Check]:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Delays that joints share.
+    """Delays that joints share."""
 
-    Attributes:
-        equations: at these delays.
-        fit: on all blocks.
-        without: (B, n) delays [s], found without each block.
-    """
-
-    equations: DelayEquations
-    fit: DelayFit
-    without: FloatArray
+    equations: DelayEquations  # at these delays
+    fit: DelayFit  # on all blocks
+    without: FloatArray  # (B, n) delays [s], found without each block
 
     @property
     def std(self) -> FloatArray:

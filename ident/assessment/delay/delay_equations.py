@@ -48,22 +48,14 @@ _CONVEX = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DelayEquations:
-    """Gram matrices of [W_j τ…] at given delays; w_j is the number of joint j's structurally non-zero base columns.
+    """Gram matrices of [W_j τ…] at given delays; w_j is the number of joint j's structurally non-zero base columns."""
 
-    Attributes:
-        delays: (n,) d [s].
-        columns: of each joint, the base columns in its equations.
-        column_count: number of base columns b.
-        every: of each joint (B, w_j + 5, w_j + 5), over all equations of each block.
-        sliding: the same without the equations that a velocity reversal affects.
-        every_rows, sliding_rows: (B, n) number of equations.
-    """
-
-    delays: FloatArray
-    columns: tuple[tuple[int, ...], ...]
-    column_count: int
-    every: tuple[FloatArray, ...]
-    sliding: tuple[FloatArray, ...]
+    delays: FloatArray  # (n,) d [s]
+    columns: tuple[tuple[int, ...], ...]  # of each joint, the base columns in its equations
+    column_count: int  # number of base columns b
+    every: tuple[FloatArray, ...]  # of each joint (B, w_j + 5, w_j + 5), over all equations of each block
+    sliding: tuple[FloatArray, ...]  # the same without the equations that a velocity reversal affects
+    # every_rows, sliding_rows: (B, n) number of equations
     every_rows: FloatArray
     sliding_rows: FloatArray
 
@@ -85,17 +77,11 @@ class DelayEquations:
 
 @dataclass(frozen=True, eq=False)
 class DelayFit:
-    """A solution on the sliding equations.
+    """A solution on the sliding equations."""
 
-    Attributes:
-        delays: (n,) [s].
-        drift: growth of the delay with time [s/s]; 0 where it was not estimated.
-        weights: (n,) one over each joint's residual [1/(N·m)]; 0 for joints that are left out.
-    """
-
-    delays: FloatArray
-    drift: float
-    weights: FloatArray
+    delays: FloatArray  # (n,) [s]
+    drift: float  # growth of the delay with time [s/s]; 0 where it was not estimated
+    weights: FloatArray  # (n,) one over each joint's residual [1/(N·m)]; 0 for joints that are left out
 
 
 def contiguous_blocks(
@@ -112,21 +98,13 @@ def contiguous_blocks(
 
 @dataclass(frozen=True, eq=False)
 class DelayData:
-    """What no delay changes.
+    """What no delay changes."""
 
-    Attributes:
-        kernel: of the base columns.
-        segments: motion and torque, prepared with delay 0.
-        parallel_filter: for τ and W.
-        seen: (n,) joints whose equations count.
-        blocks: as of `contiguous_blocks`.
-    """
-
-    kernel: RegressorKernel
-    segments: Sequence[Segment]
-    parallel_filter: ZeroPhaseFilter
-    seen: npt.NDArray[np.bool_]
-    blocks: tuple[tuple[IntArray, ...], int]
+    kernel: RegressorKernel  # of the base columns
+    segments: Sequence[Segment]  # motion and torque, prepared with delay 0
+    parallel_filter: ZeroPhaseFilter  # for τ and W
+    seen: npt.NDArray[np.bool_]  # (n,) joints whose equations count
+    blocks: tuple[tuple[IntArray, ...], int]  # as of `contiguous_blocks`
 
     @property
     def count(self) -> int:

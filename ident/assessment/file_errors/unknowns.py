@@ -24,44 +24,31 @@ Kind = Literal["gain", "gains", "length", "scale", "lengths", "zero", "late", "g
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number of the robot file, or gravity's direction.
+    """A number of the robot file, or gravity's direction."""
 
-    Attributes:
-        kind: of it; `late` is a joint's position against all else that was recorded, `scale` is a factor common to all
-            lengths, `lengths` are all that the data show, together, and `gains` all but that of `joint`.
-        joint: number in the tree for a length, among the motors for a gain, a zero or a late position, -1 for gravity
-            and all lengths.
-        axis: of the parent's frame along which the joint's origin shifts; None but for a length.
-    """
-
+    # of it; `late` is a joint's position against all else that was recorded, `scale` is a factor common to all lengths,
+    # `lengths` are all that the data show, together, and `gains` all but that of `joint`
     kind: Kind
+    # number in the tree for a length, among the motors for a gain, a zero or a late position, -1 for gravity and all
+    # lengths
     joint: int = -1
-    axis: int | None = None
+    axis: int | None = None  # of the parent's frame along which the joint's origin shifts; None but for a length
 
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """How far an unknown is from what the robot file says.
+    """How far an unknown is from what the robot file says."""
 
-    Attributes:
-        unknown: which.
-        value: model torque over recorded torque minus 1, shift [m], factor on all lengths minus 1, angle [rad or m],
-            time by which it is late [s], or the angle [rad] between gravity's direction and the file's.
-        std: its standard deviation, the equations being independent.
-        likelihood: doubled log-likelihood ratio against the file's value, likewise.
-        parameters: (b,) base parameters that go with it.
-        model: with it; the columns of `parameters` are its base parameters `columns`.
-        columns: (b,) standard columns.
-        parts: of several lengths or gains, each with its value and the standard deviation.
-    """
-
-    unknown: Unknown
+    unknown: Unknown  # which
+    # model torque over recorded torque minus 1, shift [m], factor on all lengths minus 1, angle [rad or m], time by
+    # which it is late [s], or the angle [rad] between gravity's direction and the file's
     value: float
-    std: float
-    likelihood: float
-    parameters: FloatArray
-    model: DynamicModel
-    columns: tuple[int, ...]
+    std: float  # its standard deviation, the equations being independent
+    likelihood: float  # doubled log-likelihood ratio against the file's value, likewise
+    parameters: FloatArray  # (b,) base parameters that go with it
+    model: DynamicModel  # with it; the columns of `parameters` are its base parameters `columns`
+    columns: tuple[int, ...]  # (b,) standard columns
+    # of several lengths or gains, each with its value and the standard deviation
     parts: tuple[tuple[Unknown, float, float], ...] = ()
 
     @property

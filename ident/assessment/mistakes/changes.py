@@ -79,42 +79,25 @@ What = Literal["gain", "gains", "zero", "load", "friction"]
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Something that is different in a part of the recording.
+    """Something that is different in a part of the recording."""
 
-    Attributes:
-        what: it is.
-        joint: index; -1 where it is of the whole arm.
-        start: part of the recording after which it is so; None where it grows from the beginning to the end.
-        before: it is so up to `start`, or fades to nothing, instead.
-        columns: (n, k, N) that act then, of each joint's equations.
-    """
-
-    what: What
-    joint: int
-    start: float | None
-    before: bool
-    columns: FloatArray
+    what: What  # it is
+    joint: int  # index; -1 where it is of the whole arm
+    start: float | None  # part of the recording after which it is so; None where it grows from the beginning to the end
+    before: bool  # it is so up to `start`, or fades to nothing, instead
+    columns: FloatArray  # (n, k, N) that act then, of each joint's equations
 
 
 @dataclass(frozen=True, eq=False)
 class FittedChange:
-    """A change as it was estimated.
+    """A change as it was estimated."""
 
-    Attributes:
-        change: which.
-        value: factor of the torque minus 1, or its growth over the recording; shift [rad or m]; of a load 0.
-        level: Σ log of the joints' relative squared residuals.
-        likelihood: doubled log-likelihood ratio, the equations being independent.
-        error: relative error of the whole arm.
-        fall: factor by which squared residuals fall, of a gain's joint, else of the joint whose fall most.
-    """
-
-    change: Change
-    value: float
-    level: float
-    likelihood: float
-    error: float
-    fall: float
+    change: Change  # which
+    value: float  # factor of the torque minus 1, or its growth over the recording; shift [rad or m]; of a load 0
+    level: float  # Σ log of the joints' relative squared residuals
+    likelihood: float  # doubled log-likelihood ratio, the equations being independent
+    error: float  # relative error of the whole arm
+    fall: float  # factor by which squared residuals fall, of a gain's joint, else of the joint whose fall most
 
 
 class Changes:

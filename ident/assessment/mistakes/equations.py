@@ -23,34 +23,21 @@ FREE_ITERATIONS, BOUND_ITERATIONS = 5, 3
 
 @dataclass(frozen=True, eq=False)
 class HypothesisFit:
-    """A hypothesis with its best parameters.
+    """A hypothesis with its best parameters."""
 
-    Attributes:
-        parameters: (a,) of the active columns.
-        relative: (n,) sum of squared residuals over that of the torque, of each joint.
-        level: Σ log(relative) over the joints: lower by 2 log 2 where one joint's error is halved.
-    """
-
-    parameters: FloatArray
-    relative: FloatArray
-    level: float
+    parameters: FloatArray  # (a,) of the active columns
+    relative: FloatArray  # (n,) sum of squared residuals over that of the torque, of each joint
+    level: float  # Σ log(relative) over the joints: lower by 2 log 2 where one joint's error is halved
 
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """K blocks of n joints' equations with a columns.
+    """K blocks of n joints' equations with a columns."""
 
-    Attributes:
-        gram: (K, n, a, a) WᵀW of joint j's rows.
-        score: (K, n, n, a) Wᵀτ_k of joint j's rows and torque k.
-        power: (K, n, n) Σ τ_k² over joint j's equations.
-        rows: (K, n) how many there are; 0 for torques that are not used.
-    """
-
-    gram: FloatArray
-    score: FloatArray
-    power: FloatArray
-    rows: FloatArray
+    gram: FloatArray  # (K, n, a, a) WᵀW of joint j's rows
+    score: FloatArray  # (K, n, n, a) Wᵀτ_k of joint j's rows and torque k
+    power: FloatArray  # (K, n, n) Σ τ_k² over joint j's equations
+    rows: FloatArray  # (K, n) how many there are; 0 for torques that are not used
 
     def fit(
         self, columns: Columns, conditions: FloatArray | None = None, blocks: Sequence[int] | None = None

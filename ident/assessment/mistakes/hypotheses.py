@@ -24,22 +24,16 @@ in wrists they are neighbours."""
 
 @dataclass(frozen=True)
 class Mistake:
-    """A sign or a pair of columns that is wrong, or gravity's sign.
+    """A sign or a pair of columns that is wrong, or gravity's sign."""
 
-    Attributes:
-        name: of the check that names it; empty for the recording as it is.
-        signal: whose columns are wrong.
-        joints: whose columns are wrong.
-        torques, positions: to take instead.
-        coupling: factor with which the second joint's motion turns the first one's motor; 0 of all other mistakes.
-            Torques are the motors', and positions, too, where they are wrong as well.
-    """
-
-    name: str
-    signal: Signal
-    joints: tuple[int, ...]
+    name: str  # of the check that names it; empty for the recording as it is
+    signal: Signal  # whose columns are wrong
+    joints: tuple[int, ...]  # whose columns are wrong
+    # torques, positions: to take instead
     torques: Columns
     positions: Columns
+    # factor with which the second joint's motion turns the first one's motor; 0 of all other mistakes. Torques are the
+    # motors', and positions, too, where they are wrong as well.
     coupling: float = 0.0
 
 

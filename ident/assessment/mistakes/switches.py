@@ -26,17 +26,11 @@ MOST_FITTED = 6
 
 @dataclass(frozen=True)
 class Switch:
-    """A mistake in a part of the recording.
+    """A mistake in a part of the recording."""
 
-    Attributes:
-        mistake: which.
-        block: the part in which it begins or ends; its equations are left out.
-        before: it is so up to there, instead of from there on.
-    """
-
-    mistake: Mistake
-    block: int
-    before: bool
+    mistake: Mistake  # which
+    block: int  # the part in which it begins or ends; its equations are left out
+    before: bool  # it is so up to there, instead of from there on
 
     @property
     def wrong(self) -> list[int]:

@@ -15,52 +15,32 @@ THINNED = 4
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """Where a point of a link is along pieces of motion, linear in the point; P pieces, all n joints of each in turn.
+    """Where a point of a link is along P pieces of motion, linear in the point; all n joints of each in turn."""
 
-    Attributes:
-        reference: (K, L) positions along which it holds [rad or m].
-        height: (4, K, P) of the link's origin and of its axes' unit vectors [m].
-        lever: (4, K, L) derivatives of the heights by each joint's position.
-    """
-
-    reference: FloatArray
-    height: FloatArray
-    lever: FloatArray
+    reference: FloatArray  # (K, L) positions along which it holds [rad or m]
+    height: FloatArray  # (4, K, P) of the link's origin and of its axes' unit vectors [m]
+    lever: FloatArray  # (4, K, L) derivatives of the heights by each joint's position
 
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """Pieces of motion of single joints, side by side on a grid of `step` seconds.
+    """Pieces of motion of single joints, side by side on a grid of `step` seconds."""
 
-    Attributes:
-        step: [s].
-        joint: (L,) index of each lane's joint.
-        piece: (L,) index of the piece of motion that it is of.
-        command: (history + K, L) commanded positions, from `history` steps before the piece [rad or m].
-        history: number of steps.
-        start: (L,) measured positions at the beginning.
-        inertia: (K, L) of the links about the joint [kg·m²].
-        load: (K, L) gravity and coupling, as the torque that the joint must give [N·m].
-        load_slope: (K, L) derivative of gravity by the joint's own position [N·m/rad].
-        sample: (S, L) where the measured samples are on the grid, as fractions of steps.
-        measured: (S, L) positions; nan where a sample does not count.
-        touch: of the point that may touch something; None where the lanes are not those of whole arms.
-        between: (K / `THINNED`, P, n, n) inertia of each piece's joints [kg·m²], by which they move each other; None
-            where its torques are in `load`.
-    """
-
-    step: float
-    joint: IndexArray
-    piece: IndexArray
-    command: FloatArray
-    history: int
-    start: FloatArray
-    inertia: FloatArray
-    load: FloatArray
-    load_slope: FloatArray
-    sample: FloatArray
-    measured: FloatArray
+    step: float  # [s]
+    joint: IndexArray  # (L,) index of each lane's joint
+    piece: IndexArray  # (L,) index of the piece of motion that it is of
+    command: FloatArray  # (history + K, L) commanded positions, from `history` steps before the piece [rad or m]
+    history: int  # number of steps
+    start: FloatArray  # (L,) measured positions at the beginning
+    inertia: FloatArray  # (K, L) of the links about the joint [kg·m²]
+    load: FloatArray  # (K, L) gravity and coupling, as the torque that the joint must give [N·m]
+    load_slope: FloatArray  # (K, L) derivative of gravity by the joint's own position [N·m/rad]
+    sample: FloatArray  # (S, L) where the measured samples are on the grid, as fractions of steps
+    measured: FloatArray  # (S, L) positions; nan where a sample does not count
+    # of the point that may touch something; None where the lanes are not those of whole arms
     touch: Touch | None = None
+    # (K / `THINNED`, P, n, n) inertia of each piece's joints [kg·m²], by which they move each other; None where its
+    # torques are in `load`
     between: FloatArray | None = None
 
     def of_pieces(self, pieces: IndexArray) -> Lanes:
