@@ -8,37 +8,13 @@ import select
 import tempfile
 import tty
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Self
 
 from drivers.core.errors import UsageError
 
 
-class LineEnd(Protocol):
-    """A device's end of a serial line, which may be pulled out; no two of its methods run at a time."""
-
-    @property
-    def path(self) -> str:
-        """The port that a client opens."""
-
-    def plug_in(self) -> None:
-        """Create the port; nothing where it exists."""
-
-    def pull_out(self) -> None:
-        """Remove the port; nothing where there is none."""
-
-    def remove(self) -> None:
-        """Leave nothing behind."""
-
-
-class PollableLineEnd(LineEnd, Protocol):
-    """A line's end whose descriptor can be waited for, and does not block."""
-
-    def fileno(self) -> int:
-        """Return its descriptor."""
-
-
 class PseudoTerminal:
-    """A device's end of a pseudo-terminal that any program on this computer can open.
+    """A device's end of a pseudo-terminal that any program on this computer can open; one method at a time.
 
     It is in a temporary folder where no path is given.
 

@@ -13,7 +13,7 @@ import can
 import numpy as np
 
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
+from sim_drivers.pseudo_terminal import PseudoTerminal
 from sim_drivers.server import Server
 
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -70,16 +70,12 @@ class SlcanAdapter(Server):
     """
 
     def __init__(
-        self,
-        bus: can.BusABC,
-        bitrate: int = 1_000_000,
-        port: PollableLineEnd | None = None,
-        clock: Clock = SYSTEM_CLOCK,
+        self, bus: can.BusABC, bitrate: int = 1_000_000, port: PseudoTerminal | None = None, clock: Clock = SYSTEM_CLOCK
     ) -> None:
         super().__init__(clock)
         self._bus = bus
         self._bitrate = bitrate
-        self._port: PollableLineEnd = PseudoTerminal() if port is None else port
+        self._port = PseudoTerminal() if port is None else port
         self.path = self._port.path
         """The serial port that a client opens."""
         self._lock = clock.lock()

@@ -228,7 +228,7 @@ class RobstrideMotor(SimulatedMotor):
     @property
     def timeout(self) -> float | None:  # noqa: D102
         counts = self._registers.get(robstride.RobstrideCodec.registers["timeout"], 0)
-        return counts * robstride.TIMEOUT_COUNT or None
+        return counts * mit.TIMEOUT_COUNT or None
 
     def protect(self, fault: int) -> None:
         """Its time-out is no fault: the motor is only switched off."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
 
 LONGEST_CYCLE = 0.05
 """SYNCs, or commands, at a longer interval than this [s] begin a new series of unknown rate."""
@@ -42,17 +41,6 @@ class AxisReference:
     position: float
     velocity: float = 0.0
     acceleration: float = 0.0
-
-
-class ReferenceMotion(Protocol):
-    """A reference that moves on its own."""
-
-    def step(self, duration: float) -> AxisReference:
-        """The reference `duration` [s] later."""
-
-    @property
-    def finished(self) -> bool:
-        """Return whether it has come to rest."""
 
 
 class Standstill:
@@ -269,3 +257,7 @@ class Profile:
         if abs(self._target - self._position) <= ARRIVED and abs(self._velocity) <= 2.0 * braking:
             self._position, self._velocity = self._target, 0.0
         return AxisReference(self._position, self._velocity, change / duration)
+
+
+ReferenceMotion = Standstill | CyclicPosition | Profile
+"""A reference that moves on its own."""

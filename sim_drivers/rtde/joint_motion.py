@@ -6,7 +6,6 @@ A motion is begun at a reference and hands out the next one each period. Shapes 
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -21,15 +20,6 @@ ACCELERATION_RANGE = (0.01, 40.0)
 
 LEAST_MOVEJ_SPEED = 1e-3
 """[rad/s]: a movej of no speed would never end."""
-
-
-class JointMotion(Protocol):
-    """A motion that has begun."""
-
-    finished: bool
-
-    def step(self, duration: float) -> Reference:
-        """The reference `duration` [s] later."""
 
 
 class MoveJ:
@@ -150,3 +140,7 @@ class ServoJ:
         acceleration = -(omega**2) * error_after - 2.0 * omega * velocity
         self._reference = Reference(self._target + error_after, velocity, acceleration)
         return self._reference
+
+
+JointMotion = MoveJ | VelocityRamp | ServoJ
+"""A motion that has begun."""

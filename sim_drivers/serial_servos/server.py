@@ -35,7 +35,7 @@ from drivers.serial_servos.settings import ServoSettings, parse_settings
 from sim_drivers.faults import Fault
 from sim_drivers.plant.clocked_arm import start_position
 from sim_drivers.plant.plant import Plant
-from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
+from sim_drivers.pseudo_terminal import PseudoTerminal
 from sim_drivers.serial_servos.arm import NOMINAL_VOLTAGE, ServoPlant
 from sim_drivers.serial_servos.motor import SimulatedServo
 from sim_drivers.served import SimOptions
@@ -73,7 +73,7 @@ class SerialServoServer(FaultyServer):
         settings: ServoSettings,
         position: FloatArray | None = None,
         seed: int = 0,
-        line_end: PollableLineEnd | None = None,
+        line_end: PseudoTerminal | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         super().__init__("serial servos", file.robot.joint_names, clock)
@@ -89,7 +89,7 @@ class SerialServoServer(FaultyServer):
         self.requests = self.answers = 0
         self._protocol = PROTOCOLS[settings.motors[0].table.protocol]()
         self._indices = {servo.motor.id: index for index, servo in enumerate(self.servos)}
-        self._line: PollableLineEnd = PseudoTerminal.at(settings.url) if line_end is None else line_end
+        self._line = PseudoTerminal.at(settings.url) if line_end is None else line_end
         self._random = random.Random(seed)
         self._outgoing: deque[tuple[float, bytes]] = deque()
         self._free = self._frozen_until = self._sag_until = -math.inf

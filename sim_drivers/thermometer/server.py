@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from sim_drivers.faults import Fault
 from sim_drivers.plant.plant import Plant
-from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
+from sim_drivers.pseudo_terminal import PseudoTerminal
 from sim_drivers.served import Served, SimOptions
 from sim_drivers.server import FaultyServer
 
@@ -63,13 +63,6 @@ class SimulatedThermometer:
         return (self.separator.join(values) + "\r\n").encode("ascii")
 
 
-class WritableLineEnd(LineEnd, Protocol):
-    """A line's end that sends."""
-
-    def write(self, data: bytes) -> int:
-        """Send without waiting; the number of bytes that went out."""
-
-
 class ThermometerServer(FaultyServer):
     """A thermometer on a serial line; `start` plugs it in, `stop` ends it.
 
@@ -94,7 +87,7 @@ class ThermometerServer(FaultyServer):
         source: Plant | Callable[[], Sequence[float] | FloatArray],
         settings: SimulatedThermometer,
         seed: int = 0,
-        line_end: WritableLineEnd | None = None,
+        line_end: PseudoTerminal | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         super().__init__("thermometer", (), clock)
@@ -109,7 +102,7 @@ class ThermometerServer(FaultyServer):
                 hint=f"at most {settings.baudrate / (BITS_A_BYTE * length):.3g} lines per second",
             )
         self._random = random.Random(seed)
-        self._line_end: WritableLineEnd = PseudoTerminal() if line_end is None else line_end
+        self._line_end = PseudoTerminal() if line_end is None else line_end
         self._changed = clock.condition()
         self._silent_until = self._garbage_until = 0.0
         self._replug_at = math.inf
@@ -246,7 +239,7 @@ def serve_thermometer(
     plant: Plant,
     connection: Mapping[str, object],
     seed: int = 0,
-    line_end: WritableLineEnd | None = None,
+    line_end: PseudoTerminal | None = None,
     clock: Clock = SYSTEM_CLOCK,
 ) -> ThermometerServer:
     """A thermometer, not yet started, on an arm: the joints that a robot file's connection names.
@@ -360,7 +353,7 @@ def serve(
     plant: Plant,
     options: SimOptions,
     clock: Clock = SYSTEM_CLOCK,
-    line_end: WritableLineEnd | None = None,
+    line_end: PseudoTerminal | None = None,
 ) -> ThermometerAlone:
     """The thermometer of a robot file, on its arm at rest; its end of the line is a pseudo-terminal where None."""
     keys = thermometer_keys(robot_file.robot)

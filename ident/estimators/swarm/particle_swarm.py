@@ -10,28 +10,12 @@ the particle comes to rest (Poli 2009, IEEE Trans. Evolutionary Computation 13).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.estimators.swarm.minimisation import Search
-
-
-class InertiaWeight(Protocol):
-    """A distribution of inertia weights."""
-
-    @property
-    def mean(self) -> float:
-        """Mean of W."""
-
-    @property
-    def mean_square(self) -> float:
-        """Mean of W²."""
-
-    def draw(self, generator: np.random.Generator, count: int) -> FloatArray:
-        """(count, 1) weights."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +119,10 @@ class RandomWeight:
 
     def __str__(self) -> str:
         return f"W of mean {self.mean:g} and standard deviation {(self.mean_square - self.mean**2) ** 0.5:.2g}"
+
+
+InertiaWeight = ConstantWeight | RandomWeight
+"""A distribution of inertia weights."""
 
 
 @dataclass(frozen=True)

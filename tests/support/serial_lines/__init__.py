@@ -18,7 +18,7 @@ serial.protocol_handler_packages.append(__name__)
 
 
 class SerialLine:
-    """A line whose device's end is held here; implements `sim_drivers.thermometer.server.WritableLineEnd`.
+    """A line whose device's end is held here; it stands for a `PseudoTerminal` that sends.
 
     Args:
         clock: of the test.
