@@ -17,8 +17,7 @@ demo: $(INSTALLED)
 # Property tests draw the same examples in every run; `make soak` draws new ones. Bytecode is kept: without it, collection
 # takes twice as long.
 test: $(INSTALLED)
-	PYTHONDONTWRITEBYTECODE= PYTHONWARNDEFAULTENCODING=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest \
-		--hypothesis-profile=ci -n $(WORKERS) --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --hypothesis-profile=ci -n $(WORKERS) --dist worksteal
 
 # Which lines and branches no test runs, in the terminal and as pages; what runs in a process of its own does not count.
 coverage: $(INSTALLED)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -78,3 +80,10 @@ def test_without_a_compiler_or_with_a_bad_one_there_is_no_library(cache, monkeyp
     assert fresh().said == "none, since there is no C compiler (cc, gcc, clang)"
     monkeypatch.setenv(library.SETTING, "0")
     assert fresh().said == "off (DYNID_COMPILED=0)"
+
+
+def test_a_locale_that_is_not_utf_8_keeps_no_command_from_starting() -> None:
+    ascii_locale = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    code = "from ident.compiled.library import kernels; kernels()"
+    done = subprocess.run([sys.executable, "-c", code], env=ascii_locale, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
