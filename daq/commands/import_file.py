@@ -29,7 +29,7 @@ def import_recording(
 
     Example: dynid import run.csv --robot ur5e --degrees -o run.h5
     """
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
     from daq.commands.console import print_json, progress_line
     from daq.importers.formats.lerobot import is_lerobot
@@ -66,9 +66,9 @@ def import_recording(
             write_recording(path, recording, overwrite=force)
     written = [
         {
-            "file": str(path),
-            "streams": {name: asdict(stream_quality(stream.time)) for name, stream in recording.streams.items()},
-            "events": [asdict(event) for event in recording.events],
+            "file": path,
+            "streams": {name: stream_quality(stream.time) for name, stream in recording.streams.items()},
+            "events": recording.events,
         }
         for path, recording in recordings.items()
     ]

@@ -374,8 +374,6 @@ def report_session(
     Raises:
         RecordingError: it cannot be read.
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json
     from daq.recording.quality.stream_quality import StreamQuality, stream_quality
     from daq.recording.reader import read_stamps
@@ -387,14 +385,11 @@ def report_session(
     except RecordingError:
         if report.error is None:  # otherwise that error is what to tell
             raise
-    punctuality = asdict(report.punctuality) if report.punctuality is not None else None
     if as_json:
-        streams = {name: asdict(quality) for name, quality in qualities.items()}
         losses = {"heavy_loss": report.heavy_loss, "light_loss": report.light_loss, "overflow": report.overflow}
-        moved = {name: asdict(figures) if figures is not None else None for name, figures in motions.items()}
         print_json(
-            {"file": str(out), "streams": streams, "stopped_by": report.stopped_by, **losses}
-            | {"punctuality": punctuality, **moved}
+            {"file": out, "streams": qualities, "stopped_by": report.stopped_by, **losses}
+            | {"punctuality": report.punctuality, **motions}
         )
         return
     for name, quality in qualities.items():

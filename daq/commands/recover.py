@@ -27,7 +27,6 @@ def recover_command(
     Example: dynid recover run.h5
     """
     import sys
-    from dataclasses import asdict
 
     from daq.commands.console import print_json, progress_line
     from daq.output_files import intended_name, unfinished_files
@@ -46,8 +45,7 @@ def recover_command(
         cut = recover(source, target, overwrite=force)
     qualities = {name: stream_quality(time) for name, time in read_stamps(target).items()}
     if as_json:
-        streams = {name: asdict(quality) for name, quality in qualities.items()}
-        print_json({"file": str(target), "streams": streams, "cut": cut})
+        print_json({"file": target, "streams": qualities, "cut": cut})
         return
     for name, quality in qualities.items():
         print(f"{target}: {name}: {quality.samples} samples recovered, {cut[name]} announced but not written")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from difflib import get_close_matches
 from numbers import Integral
+from pathlib import PurePath
 from typing import Any
 
 DASH = "–"
@@ -78,15 +80,23 @@ def parsed_json(text: str | bytes) -> Any:
 
 
 def json_text(content: Any) -> str:
-    """The JSON text of an object; what is not a finite number becomes null."""
-    return json.dumps(_strict(content), ensure_ascii=False, indent=1, allow_nan=False)
+    """The JSON text of an object: of dataclasses and models their fields; what is not a finite number becomes null."""
+    return json.dumps(_plain(content), ensure_ascii=False, indent=1, allow_nan=False)
 
 
-def _strict(content: Any) -> Any:
+def _plain(content: Any) -> Any:
+    """Return what JSON knows: paths as texts, arrays and tables as lists."""
     if isinstance(content, float):
         return content if math.isfinite(content) else None
-    if isinstance(content, dict):
-        return {str(key): _strict(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [_strict(value) for value in content]
-    return content
+    if content is None or isinstance(content, (str, int)):
+        return content
+    if isinstance(content, PurePath):
+        return str(content)
+    if isinstance(content, Mapping):
+        return {str(key): _plain(value) for key, value in content.items()}
+    for convert in ("model_dump", "tolist"):
+        if hasattr(content, convert):
+            return _plain(getattr(content, convert)())
+    if isinstance(content, Iterable):
+        return [_plain(entry) for entry in content]
+    return {of.name: _plain(getattr(content, of.name)) for of in fields(content)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import t as student
@@ -112,15 +112,9 @@ class Benchmark(SavedResult):
 
     def to_json(self) -> str:
         """Output of `dynid bench --json`."""
-        return json_text(
-            {
-                "losses": [dict(row) for row in self.losses],
-                "entries": [asdict(entry) for entry in self.entries],
-                "datasets": [dataset.model_dump(by_alias=True) for dataset in self.datasets],
-                "skipped": [asdict(of) for of in self.skipped],
-                "versions": self.versions,
-            }
-        )
+        datasets = [dataset.model_dump(by_alias=True) for dataset in self.datasets]
+        figures = {"skipped": self.skipped, "versions": self.versions}
+        return json_text({"losses": self.losses, "entries": self.entries, "datasets": datasets, **figures})
 
     def _page(self) -> str:
         return rendered("benchmark_page", benchmark=self)

@@ -200,20 +200,17 @@ def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
             name: {
                 **asdict(quality),
                 "channels": {
-                    quantity: {
-                        "unit": channel.unit,
-                        "columns": [asdict(column) for column in info.columns[name, quantity]],
-                    }
+                    quantity: {"unit": channel.unit, "columns": info.columns[name, quantity]}
                     for quantity, channel in recording.streams[name].channels.items()
                 },
             }
             for name, quality in info.streams.items()
         },
-        "excitation": asdict(info.excitation) if info.excitation is not None else None,
-        "delay": info.delay.model_dump() if info.delay is not None else None,
+        "excitation": info.excitation,
+        "delay": info.delay,
         "sufficiency": _sufficiency_object(info),
-        "verdict": asdict(info.verdict),
-        "events": [asdict(event) for event in recording.events],
+        "verdict": info.verdict,
+        "events": recording.events,
     }
 
 
@@ -226,4 +223,4 @@ def _sufficiency_object(info: RecordingInfo) -> dict[str, Any] | None:
         "repetitions": info.sufficiency.repetitions,
         **asdict(info.sufficiency.forecast),
     }
-    return content if info.times is None else {**content, "needed": asdict(info.times)}
+    return content if info.times is None else {**content, "needed": info.times}

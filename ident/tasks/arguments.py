@@ -175,7 +175,7 @@ class SavedResult(ABC):
 
     def to_json(self) -> str:
         """The text of the JSON file, which the command prints with `--json`."""
-        return json_text(self.result.model_dump())  # type: ignore[attr-defined]
+        return json_text(self.result)  # type: ignore[attr-defined]
 
     @abstractmethod
     def _page(self) -> str:

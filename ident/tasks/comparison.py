@@ -175,11 +175,11 @@ class MethodComparison(SavedResult):
         return json_text(
             {
                 "robot": self.robot,
-                "recordings": list(self.recordings),
+                "recordings": self.recordings,
                 "torque_unit": self.torque_unit,
-                "groups": [asdict(group) for group in self.groups],
+                "groups": self.groups,
                 "models": [{"label": model.label, **asdict(model)} for model in self.models],
-                "differences": [dict(row) for row in self.differences],
+                "differences": self.differences,
             }
         )
 

@@ -182,14 +182,14 @@ def print_demo(demo: Demo, as_json: bool, *, verbose: bool = False) -> None:
         print_json(
             {
                 "robot": demo.result.robot,
-                "report": str(demo.folder / REPORT_FILE),
-                "result": str(demo.folder / RESULT_FILE),
+                "report": demo.folder / REPORT_FILE,
+                "result": demo.folder / RESULT_FILE,
                 "validation_relative_error": demo.result.validation.relative_error if demo.result.validation else None,
                 "inside_95_percent": demo.inside,
                 "samples": demo.samples,
                 "lost": demo.lost,
                 "base_parameters": [
-                    {"name": name, "truth": float(true), "value": float(value), "std": float(std)}
+                    {"name": name, "truth": true, "value": value, "std": std}
                     for name, true, value, std in zip(names, demo.truth, estimates, deviations, strict=True)
                 ],
             }

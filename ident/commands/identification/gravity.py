@@ -50,8 +50,6 @@ def export_gravity_command(options: ExportOptions, *, force: bool, as_json: bool
     Raises:
         UsageError: another format is asked for.
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json
     from ident.result.gravity import read_gravity_result
     from ident.result.models.gravity_model import GravityModel
@@ -66,9 +64,6 @@ def export_gravity_command(options: ExportOptions, *, force: bool, as_json: bool
     export = model.export_c(options.c, real="float" if options.c_float else "double", overwrite=force)
     verdict = model.result.verdict
     if as_json:
-        grade = verdict.model_dump(mode="json")
-        print_json(
-            {"model": str(path), "files": [{**asdict(export), "path": str(export.path)}], "gravity_compensation": grade}
-        )
+        print_json({"model": path, "files": [export], "gravity_compensation": verdict})
         return
     print(export, verdict.headline, sep="\n")

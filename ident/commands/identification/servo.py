@@ -88,7 +88,7 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
     if as_json:
         from daq.commands.console import print_json
 
-        print_json({"file": str(out), "joints": judged.result.joints, "validation": validation.model_dump(mode="json")})
+        print_json({"file": out, "joints": judged.result.joints, "validation": validation})
         return
     source = labelled(str(run), 0.0 if validation.held_out else 1.0)
     print(f"Positions rolled out on the commands of {source} alone: {out}")

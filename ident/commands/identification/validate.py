@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -13,7 +13,7 @@ from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE,
 from ident.tasks.options import ValidateOptions
 
 if TYPE_CHECKING:
-    from ident.tasks.validation import RecordingValidation, Validation
+    from ident.tasks.validation import Validation
 
 app = CommandApp("Identify")
 
@@ -69,30 +69,11 @@ def validate_model(
 
 
 def _print_object(result: str, validation: Validation) -> None:
-    from dataclasses import asdict
+    from dataclasses import fields
 
     from daq.commands.console import print_json
 
-    def fits(judged: Validation | RecordingValidation) -> dict[str, Any]:
-        return {
-            "full": judged.full.model_dump(),
-            "essential": judged.essential.model_dump(),
-            "consistent": None if judged.consistent is None else judged.consistent.model_dump(),
-            "delivered": judged.delivered.model_dump(mode="json"),
-            "verdict": asdict(judged.verdict),
-        }
-
-    print_json(
-        {
-            "result": result,
-            "joints": list(validation.joints),
-            **fits(validation),
-            "acceptance": None if validation.acceptance is None else asdict(validation.acceptance),
-            "recordings": [
-                {"recording": recording.recording, **fits(recording)} for recording in validation.recordings
-            ],
-        }
-    )
+    print_json({"result": result} | {of.name: getattr(validation, of.name) for of in fields(validation)})
 
 
 def _print_validation(validation: Validation, model: Path, *, verbose: bool) -> None:

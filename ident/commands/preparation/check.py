@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import NoReturn
 
 import typer
@@ -93,10 +93,10 @@ def check(*, options: CheckOptions, verbose: bool = VERBOSE, as_json: bool = JSO
         return
     content = {"robot": name, "ok": True, "warnings": checked.warnings, "assumed": checked.assumed}
     content |= description(robot_file)
-    content["poses"] = [asdict(pose) for pose in checked.poses]
+    content["poses"] = checked.poses
     content["budgets"] = {bus: budget_object(budget) for bus, budget in checked.budgets.items()}
     if options.connect:
-        content["connections"] = [asdict(connection) for connection in connections]
+        content["connections"] = connections
     print_json(content)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -75,15 +75,15 @@ def design_full(options: ExciteCommandOptions, progress: Callable[[str], None]) 
         list(zip(*(column.cells for column in columns), strict=True)),
         lines,
         {
-            "choices": asdict(design.choices),
+            "choices": design.choices,
             "cost": design.cost,
             "search": {
                 "finished_starts": design.search.finished,
                 "seconds": design.search.seconds,
                 "interrupted": design.search.interrupted,
             },
-            "limits": dict(zip(design.limits, design.use.tolist(), strict=True)),
-            "figures": asdict(trajectory.figures),
+            "limits": dict(zip(design.limits, design.use, strict=True)),
+            "figures": trajectory.figures,
         },
     )
 
@@ -125,12 +125,12 @@ def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None
         lines,
         {
             "duration": trajectory.duration,
-            "poses": designed.poses.tolist(),
-            "pass_length": (2.0 * designed.half_stroke).tolist(),
+            "poses": designed.poses,
+            "pass_length": 2.0 * designed.half_stroke,
             "pass_time": designed.pass_time,
-            "expected_sigma": designed.sigma.tolist(),
-            "silent": list(designed.silent),
-            "undetermined": list(designed.undetermined),
+            "expected_sigma": designed.sigma,
+            "silent": designed.silent,
+            "undetermined": designed.undetermined,
         },
     )
 
@@ -171,7 +171,7 @@ def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None])
         {
             "duration": 0.0 if trajectory is None else trajectory.duration,
             "enough": designed.enough,
-            "forecast": [asdict(forecast) for forecast in designed.forecast],
+            "forecast": designed.forecast,
             "pieces": [
                 {"kind": segment.kind, "amplitude": segment.amplitude, "pose": segment.pose}
                 for segment in designed.segments
@@ -260,13 +260,13 @@ def excite(
     if as_json:
         print_json(
             {
-                "file": None if trajectory is None else str(out),
-                "csv": None if csv is None else str(csv),
-                "page": None if page is None else str(page),
+                "file": None if trajectory is None else out,
+                "csv": csv,
+                "page": page,
                 "robot": load_robot(options.robot).robot.name,
                 "for": options.purpose,
                 **designed.object,
-                "warnings": [] if trajectory is None else list(trajectory.warnings),
+                "warnings": [] if trajectory is None else trajectory.warnings,
             }
         )
         return

@@ -18,8 +18,6 @@ def lint(robot: str = ROBOT, as_json: bool = JSON) -> None:
 
     Example: dynid lint arm.urdf
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json
     from drivers.core.text import counted
     from ident.checks.inertia_lint import lint as look
@@ -27,8 +25,8 @@ def lint(robot: str = ROBOT, as_json: bool = JSON) -> None:
     report = look(robot)
     errors = sum(finding.severity == "error" for finding in report.findings)
     if as_json:
-        listed = [asdict(finding) for finding in report.findings]
-        print_json({"robot": report.name, "links": report.links, "untrusted": report.untrusted, "findings": listed})
+        figures = {"links": report.links, "untrusted": report.untrusted, "findings": report.findings}
+        print_json({"robot": report.name, **figures})
     else:
         for finding in report.findings:
             print(finding)

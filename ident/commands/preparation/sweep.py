@@ -25,8 +25,6 @@ def sweep_velocities(
 
     Example: dynid sweep ur5e -o sweep.yaml --page sweep.html
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json, print_table, progress_line
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
@@ -47,12 +45,12 @@ def sweep_velocities(
     if as_json:
         print_json(
             {
-                "file": str(out),
-                "page": None if page is None else str(page),
+                "file": out,
+                "page": page,
                 "robot": motion.robot_file.robot.name,
                 "duration": motion.duration,
-                "joints": [asdict(sweep) for sweep in done],
-                "warnings": list(motion.warnings),
+                "joints": done,
+                "warnings": motion.warnings,
             }
         )
         return

@@ -25,12 +25,7 @@ def print_validated(model: GradedResult, path: Path, errors: Table, *, as_json: 
     if as_json:
         assert result.validation is not None
         print_json(
-            {
-                "result": str(path),
-                "joints": result.joints,
-                "validation": result.validation.model_dump(mode="json"),
-                "verdict": result.verdict.model_dump(mode="json"),
-            }
+            {"result": path, "joints": result.joints, "validation": result.validation, "verdict": result.verdict}
         )
         return
     print(model.verdict)

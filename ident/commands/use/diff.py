@@ -23,8 +23,6 @@ def compare_models(
 
     Example: dynid diff model-may model-june
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json
     from ident.commands.printing.result import print_tables
     from ident.tasks.difference import diff
@@ -39,13 +37,13 @@ def compare_models(
     if as_json:
         print_json(
             {
-                "first": str(first),
-                "second": str(second),
+                "first": first,
+                "second": second,
                 "headline": difference.headline,
                 "agree": difference.agree,
-                "test": None if difference.test is None else asdict(difference.test),
-                "shared_recordings": list(difference.shared),
-                **{name: [dict(row) for row in table] for name, table in tables.items()},
+                "test": difference.test,
+                "shared_recordings": difference.shared,
+                **tables,
             }
         )
         return

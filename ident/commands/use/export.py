@@ -16,8 +16,6 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
 
     Example: dynid export model --urdf arm.urdf --mjcf arm.xml --c arm
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together
     from ident.commands.identification.gravity import export_gravity_command
@@ -65,8 +63,7 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
         key=lambda judged: GRADES.index(judged.grade),
     )
     if as_json:
-        described = [{**asdict(file), "path": str(file.path)} for file in written]
-        print_json({"model": str(model), "files": described, "simulation": asdict(simulation)})
+        print_json({"model": model, "files": written, "simulation": simulation})
         return
     for file in written:
         print(file)

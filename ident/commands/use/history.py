@@ -94,15 +94,15 @@ def show(
     if as_json:
         print_json(
             {
-                "history": str(database),
+                "history": database,
                 "arm": of_arm.arm,
                 "results": of_arm.results,
                 "start": date_text(of_arm.start),
                 "end": date_text(of_arm.end),
                 "sentences": trends.sentences,
                 "notes": trends.notes,
-                "trends": [dict(row) for row in trends.trends],
-                "steps": [dict(row) for row in trends.steps],
+                "trends": trends.trends,
+                "steps": trends.steps,
             }
         )
         return

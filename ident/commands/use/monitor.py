@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -149,12 +149,12 @@ def _live(
     if as_json:
         print_json(
             {
-                "contacts": [asdict(contact) for contact in contacts],
+                "contacts": contacts,
                 "load": None if load is None else {"mass": load.mass, "margin": load.margin},
-                "file": None if options.record is None or report.file is None else str(report.file),
+                "file": None if options.record is None else report.file,
                 "stopped_by": report.stopped_by,
-                "samples": dict(report.samples),
-                "lost": dict(report.lost),
+                "samples": report.samples,
+                "lost": report.lost,
             }
         )
     else:
@@ -192,7 +192,7 @@ def _replay(
             progress("page")
             watched.page(page, overwrite=force)
     if as_json:
-        print_json({**watched.to_dict(), "page": None if page is None else str(page)})
+        print_json({**watched.to_dict(), "page": page})
         return
     strongest = sorted(watched.contacts, key=lambda contact: -contact.ratio)[:SHOWN]
     _print(watched.summary, [index for index, contact in enumerate(watched.contacts) if contact in strongest])

@@ -60,15 +60,15 @@ def predict_torque(
     if as_json:
         print_json(
             {
-                "file": str(file),
-                "page": None if page is None else str(page),
+                "file": file,
+                "page": page,
                 "parameters": options.parameters,
                 "presliding": prediction.segments.presliding,
                 "overlap": prediction.segments.overlap,
                 "samples": len(prediction.time),
                 "segments": len(prediction.segments.segments),
                 "rate_hz": prediction.segments.segments[0].rate,
-                "joints": [dict(row) for row in summary],
+                "joints": summary,
             }
         )
         return
