@@ -3,7 +3,7 @@
 The simulated SR400 (closed loop, coupled wrist, Table 4 as truth) goes from point to point by fifth-order moves, 1 kHz,
 encoder steps, current noise and ripple, unloaded and with Table 3's load. The drives' gains are those of the robot file
 here, so that the methods' own errors show; the effect of uncertain gains is in `sr400_table4.py`. Run it as
-python -m studies.papers.energy_vs_dynamic [seeds [which tables, as 13]]. With 3 seeds a quarter of an hour. Tables:
+python -m studies.papers.energy_vs_dynamic [seeds [which tables, as 13]]. Tables 1 and 2 of 3 seeds: 3 minutes.
 
 1. Links 5 and 6 from the wrist's motion, the other joints locked, as the paper validates them (.4.4): each model's
    values ± the 95 % interval, beside the truth, of the base parameters that are left with these joints locked.
