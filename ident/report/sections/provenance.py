@@ -10,32 +10,13 @@ from ident.result.schema import Result
 
 def data_quality_section(data: ReportData) -> ReportSection:
     """Recordings, their events, preprocessing, delay, drive gains."""
-    result = data.result
-    context = {
-        "recordings": result.recordings,
-        "segments": {"identification": len(data.fit), "validation": len(data.validation)},
-        "steps": result.preprocessing,
-        "delay": result.delay,
-        "gains": result.drive_gains,
-    }
+    context = {"result": data.result, "segments": {"identification": len(data.fit), "validation": len(data.validation)}}
     return ReportSection("Data quality", "data-quality", "data_quality.html.j2", context)
 
 
 def section(data: ReportData) -> ReportSection:
     """Files with their hashes, software versions, options, the robot file."""
-    result = data.result
-    context = {
-        "created": result.created,
-        "robot": result.robot,
-        "method": result.method,
-        "recordings": result.recordings,
-        "versions": result.versions,
-        "options": result.options,
-        "columns": _columns(result),
-        "smoothing": result.model_options.smoothing,
-        "robot_file": result.robot_file,
-        "urdf": result.urdf,
-    }
+    context = {"result": data.result, "columns": _columns(data.result)}
     return ReportSection("Provenance", "provenance", "provenance.html.j2", context)
 
 

@@ -45,6 +45,23 @@ def test_wrong_clocks_and_orders_are_told_from_a_lag(seed: int, lag: float, shif
     assert wrong.swapped == {JOINTS[to]: JOINTS[of] for to, of in enumerate(order) if to != of}
 
 
+def test_a_few_seconds_of_a_joint_that_sticks_are_not_another_s_motion() -> None:
+    stamps = np.arange(0.0, 2.0, 0.02)
+    rise = 1.0 / (1.0 + np.exp(-8.0 * (stamps - 1.0)))
+    command = np.column_stack([0.1 * stamps, 0.5 * rise])
+    stuck = replace(
+        motion(),
+        joint_names=("a", "b"),
+        time=stamps,
+        position=np.column_stack([0.15 * rise, 0.5 * rise]),
+        command_time=stamps,
+        commands={TARGET: command},
+    )
+    assert command_quality(stuck).swapped == {}
+    far = replace(stuck, position=stuck.position * [4.0, 1.0])
+    assert command_quality(far).swapped == {"a": "b"}
+
+
 def test_the_rest_is_told_by_joint() -> None:
     sound = motion()
     position, command = sound.position.copy(), sound.commands[TARGET].copy()
