@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.core.errors import IdentificationError
+from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, regressor
 from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
 from ident.regression.least_squares import excited_columns, ordinary_least_squares, weighted_least_squares
-from ident.regression.observation_matrix import only_torques, reduce_segments
+from ident.regression.observation_matrix import JointFactor, Reduction, only_torques, reduce_segments
 from ident.signals.filters import no_filter
 
 NOISE = np.array([3.0, 0.3, 0.03])
@@ -197,3 +198,34 @@ def test_joints_without_rows_take_no_part(dense_reduction, solve):
     assert np.allclose(found.covariance, expected.covariance, rtol=1e-10)
     assert found.weights[1] == 0.0
     assert np.allclose(found.weights[[0, 2]], expected.weights)
+
+
+def held(seed: int, rows: int, noise: float = 0.05) -> Reduction:
+    """Three joints with columns of their own; the last has few rows, and columns that the others hardly see."""
+    generator = np.random.default_rng(seed)
+    shared, own = np.array([1.0, 1.0, 1e-3, 1e-3]), 3
+    factors = []
+    for joint, count in enumerate((400, 400, rows)):
+        columns = (0, 1, 2, 3, *range(4 + own * joint, 4 + own * (joint + 1)))
+        seen = (
+            generator.standard_normal((count, len(columns))) * np.r_[np.ones(4) if joint == 2 else shared, np.ones(own)]
+        )
+        torque = seen.sum(axis=1) + noise * generator.standard_normal(count)
+        factors.append(JointFactor(columns, triangular(np.column_stack([seen, torque])), count))
+    return Reduction(tuple(factors), 4 + 3 * own, 1, 400, "given")
+
+
+@pytest.mark.parametrize("rows", [5, 6, 8, 12])
+def test_a_joint_of_few_equations_gets_no_weight_beyond_its_noise(rows):
+    """It may follow them exactly; unbounded, its weight would let its few equations overrule all others."""
+    found = [weighted_least_squares(held(seed, rows), range(13)).joint_std for seed in range(40)]
+    assert all(std[2] > 0.2 * 0.05 for std in found)
+    np.testing.assert_allclose(np.median(found, axis=0)[:2], 0.05, rtol=0.1)
+
+
+def test_a_joint_of_many_equations_keeps_its_own_deviation():
+    reduction = held(1, 400)
+    found = weighted_least_squares(reduction, range(13))
+    rows = np.array([joint.rows for joint in reduction.joints])
+    expected = np.sqrt(reduction.residual_sums(found.parameters) / (rows * (1.0 - 13 / rows.sum())))
+    np.testing.assert_allclose(found.joint_std, expected, rtol=1e-3)
