@@ -38,6 +38,7 @@ class ToyBusDriver(LifeCycle):
         super().__init__(settings)
         self._settings = read_settings(ToyBusSettings, settings.connection, "toy_bus")
         self._opened = ExitStack()
+        self._controls = self._moved = False
         self._begin()
 
     def _connect(self) -> None:
@@ -96,7 +97,7 @@ class ToyBusDriver(LifeCycle):
         if self._controls:
             with suppress(ConnectionLostError):
                 self._sender.send(MODE, HOLD)
-        self._controls = False
+        self._controls = self._moved = False
         if self._state == "running":
             self._state = "open"
 
@@ -105,7 +106,6 @@ class ToyBusDriver(LifeCycle):
         self._number = self._last = self._index = -1
         self._newest: FloatArray | None = None
         self._heard = self._clock.now()
-        self._controls = self._moved = False
 
     def _take(self, arrived: float, identifier: int, data: bytes) -> list[Batch]:
         """A row, once every joint of a period has come."""
