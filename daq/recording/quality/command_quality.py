@@ -40,6 +40,10 @@ POSSIBLE = (SHIFTS >= LEAST_LAG) & (SHIFTS <= MOST_LAG)
 HELD = 0.1
 """Distance [rad or m] of a joint from its command up to which friction and gravity hold it: an SO-101 sags by 0.08."""
 
+BRIEF, UNHELD = 5.0, 0.05
+"""In a recording of less than so many seconds every command is little more than a ramp, like any other's: there a joint
+follows another's only where its own leaves so large a deviation [rad or m]."""
+
 LEAST_OFFSET = 0.3
 """Median distance [rad or m] of a joint that follows its command beyond which the two have different zeros."""
 
@@ -236,13 +240,15 @@ def _followed(
     ratios: dict[int, float] = {}
     swapped: dict[int, int] = {}
     opposite: list[int] = []
+    least = UNHELD if len(position) * GRID_STEP < BRIEF else 0.0
     for place in range(correlations.shape[1]):
         own, best = correlations[:, place, place], correlations[:, place, :].max(axis=0)
         other = int(np.argmax(best))
+        left = np.std(position[:, place]) * np.sqrt(1.0 - min(max(best[place], 0.0), 1.0) ** 2)
         believed = np.sqrt(max(FOLLOWING_CORRELATION**2, 1.0 - MISTAKE_VARIANCE * (1.0 - max(best[place], 0.0) ** 2)))
-        if other != place and best[other] > believed:
+        if other != place and best[other] > believed and left >= least:
             swapped[place] = other
-        elif -own.min() > believed:
+        elif -own.min() > believed and left >= least:
             opposite.append(place)
         elif best[place] > FOLLOWING_CORRELATION:
             start = 2 * LARGEST_SHIFT - int(np.argmax(own))
