@@ -20,7 +20,7 @@ AGAIN = "identify again"
 
 
 class ExperimentResult(Stored):
-    """What the recordings make identifiable: joints that were locked, motors whose torques were used."""
+    """An `Experiment` by names, which outlive indices: joints that were locked, motors whose torques were used."""
 
     locked: dict[str, list[Value]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
     torques_of: list[str]
@@ -71,7 +71,7 @@ class ShapeErrorResult(Stored):
 
 
 class EstimateResult(Stored):
-    """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
+    """An `Estimate` for merging, by names: the indices of its parameters belong to one version's base parameters."""
 
     parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
     root: list[list[Value]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")

@@ -40,6 +40,18 @@ class ModelResult(Stored):
         )
 
 
+class ParameterResult(Stored):
+    """An identified parameter of an arm's torque."""
+
+    name: str
+    expression: str
+    kind: str
+    joint: str
+    unit: str
+    value: Number = Field(description="null where the recordings do not determine it")
+    std: Number
+
+
 class UsedRecording(Stored):
     """A recording used in the identification or the validation."""
 

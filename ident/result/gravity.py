@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from ident.result.graded import Grade, ModelResult, UsedRecording
+from ident.result.graded import Grade, ModelResult, ParameterResult, UsedRecording
 from ident.result.result_file import GRAVITY, checked, read_content
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.stored import Number, Stored, Value
@@ -15,16 +15,10 @@ from ident.stored import Number, Stored, Value
 GRAVITY_SCHEMA = 1
 
 
-class GravityParameter(Stored):
+class GravityParameter(ParameterResult):
     """One gravity parameter, or the offset of a motor."""
 
-    name: str
-    expression: str
     kind: Literal["inertial", "offset"]
-    joint: str
-    unit: str
-    value: Number = Field(description="null where the poses do not determine it")
-    std: Number
     low: Number = Field(description="of the 95 % interval")
     high: Number
     note: str = ""

@@ -24,7 +24,7 @@ from ident.result.consistent_model import ConsistentModel, LinkResult
 from ident.result.delivered import Delivered
 from ident.result.estimate import EstimateResult, ExperimentResult, Merge
 from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
-from ident.result.graded import ModelResult, UsedRecording
+from ident.result.graded import ModelResult, ParameterResult, UsedRecording
 from ident.signals.prepared import Step
 from ident.stored import Number, Real, Stored
 from ident.verdict.acceptance import Acceptance
@@ -34,16 +34,10 @@ from ident.verdict.verdict import Verdict
 RESULT_SCHEMA = 1
 
 
-class BaseParameterResult(Stored):
-    """One base parameter; the standard deviations are corrected for autocorrelated residuals."""
+class BaseParameterResult(ParameterResult):
+    """One base parameter of the full model; the standard deviations are corrected for autocorrelated residuals."""
 
-    name: str
-    expression: str
     kind: ParameterKind
-    joint: str
-    unit: str
-    value: Number = Field(description="of the full model; null where the recording does not excite it")
-    std: Number
     rsd_percent: Number
     f_value: Number = Field(
         default=None, description="partial F: loss of fit without this parameter, AUBO Table II; (value / std)²"
@@ -154,7 +148,7 @@ def _check_shapes(shapes: Mapping[str, Sequence[float]]) -> None:
 
 
 class ModelOptions(Stored):
-    """Columns that the model has."""
+    """Columns of a `DynamicModel`, whose geometry the robot file has."""
 
     motor_inertia: list[bool]
     viscous: list[bool]
