@@ -101,7 +101,7 @@ def _hint(arm: ForwardArm, name: str, torque: FloatArray) -> str:
 class SteppedMotion:
     """A simulated motion, N samples of n joints."""
 
-    time: FloatArray  # (N,) [s]
+    time: FloatArray  # (N,) from the start [s]
     position: FloatArray  # (N, n) [rad or m]
     velocity: FloatArray  # (N, n) [rad/s or m/s]
     # (N, n) of the step that begins with the sample, of the last sample that of the step before [N·m or N]

@@ -127,22 +127,18 @@ def worst_case_bits(frame: Frame) -> int:
 
 
 @dataclass(frozen=True)
-class Sent:
-    """A frame that has been on the bus."""
-
+class _Waiting:
     frame: Frame  # the frame
-    own: bool  # whether a simulated node sent it
-    time: float  # when its last bit was over [s]
-    bits: int  # its length
+    own: bool  # whether a simulated node sends it
     ready: float  # when it was handed over [s]
+    bits: int  # its length
 
 
 @dataclass(frozen=True)
-class _Waiting:
-    frame: Frame
-    own: bool
-    ready: float
-    bits: int
+class Sent(_Waiting):
+    """A frame that has been on the bus."""
+
+    time: float  # when its last bit was over [s]
 
 
 class BusModel:
@@ -223,7 +219,7 @@ class BusModel:
             for ready, waiting in later:
                 self._place(waiting, ready)
         self.bits += won.bits
-        return Sent(won.frame, won.own, end, won.bits, won.ready)
+        return Sent(**vars(won), time=end)
 
     def _place(self, key: int, ready: float) -> None:
         if ready <= self._free:

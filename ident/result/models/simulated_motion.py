@@ -14,7 +14,7 @@ from drivers.core.errors import DataError, ModelError, UsageError
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.result.arrays import samples
 from ident.simulation.forward_arm import ForwardArm
-from ident.simulation.time_stepping import Drive, integrate
+from ident.simulation.time_stepping import Drive, SteppedMotion, integrate
 
 DEFAULT_STEP = 1e-3
 """Step of a simulation [s]."""
@@ -26,15 +26,10 @@ Controller = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedMotion:
+class SimulatedMotion(SteppedMotion):
     """What `Model.simulate` gives: N samples, a step apart, of n joints."""
 
     joint_names: tuple[str, ...]  # (n,) of the arrays' columns
-    time: FloatArray  # (N,) from the start [s]
-    position: FloatArray  # (N, n) [rad or m]
-    velocity: FloatArray  # (N, n) [rad/s or m/s]
-    # (N, n) joint torques of the step that begins with the sample; the last row repeats the one before [N·m]
-    torque: FloatArray
 
 
 def simulated_motion(
@@ -60,7 +55,7 @@ def simulated_motion(
         duration,
         steps,
     )
-    return SimulatedMotion(names, motion.time, motion.position, motion.velocity, motion.torque)
+    return SimulatedMotion(**vars(motion), joint_names=names)
 
 
 def _steps(duration: float, step: float) -> int:
