@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ident.verdict.check import Check
-from ident.verdict.check_kind import ALL, PARAMETERS, PREDICTION, CheckKind, note
+from ident.verdict.check import ALL, PARAMETERS, PREDICTION, Check, CheckKind, note
 from ident.verdict.recording_kinds import EXCITATION, RECORDING
 
 _MODEL = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.verdict.check_kind import ALL, PARAMETERS, PREDICTION, CheckKind, note
+from ident.verdict.check import ALL, PARAMETERS, PREDICTION, CheckKind, note
 
 RECORDING = (
     note(

@@ -9,8 +9,7 @@ from itertools import groupby
 from pathlib import Path
 
 from ident.verdict.catalogue import CATALOGUE
-from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES
-from ident.verdict.check_kind import ALL
+from ident.verdict.check import ALL, PURPOSE_WORDS, PURPOSES, SEVERITIES
 
 PAGE = Path(__file__).parents[2] / "docs" / "checks.md"
 BEFORE, AFTER = "## The catalogue\n\n", "\n\n## "

@@ -203,7 +203,7 @@ def said(case: Callable[[], Made], choices: IdentifyChoices, truth: Instants | N
     try:
         run, believed = case()
         found = identify([run], [], choices, believed)
-        verdict = summarise(found, [run], []).verdict
+        verdict = summarise(found).verdict
     except DynidError as refusal:
         return f"refused: {refusal}"
     named = [

@@ -37,7 +37,7 @@ def identify_gravity_command(
 
 def validate_gravity_command(path: Path, runs: object, *, as_json: bool) -> None:
     """Judge a stored model of gravity on other recordings."""
-    from ident.commands.printing.graded import print_validated
+    from ident.commands.printing.result import print_validated
     from ident.tasks.experiments import load_gravity
 
     judged = load_gravity(path).validate(runs)  # type: ignore[arg-type]

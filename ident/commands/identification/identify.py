@@ -46,8 +46,7 @@ def identify_recordings(
     from ident.commands.identification.gravity import GRAVITY_USE, identify_gravity_command
     from ident.commands.identification.servo import SERVO_USE, identify_servo_command, is_servo, refuse_model_file
     from ident.commands.options import limits_option
-    from ident.commands.printing.graded import print_identified
-    from ident.commands.printing.result import print_result
+    from ident.commands.printing.result import print_identified, print_result
     from ident.commands.saving import check_result_folder, save_result
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import GradedResult, paths_of

@@ -55,7 +55,7 @@ def identify_servo_command(
 
 def validate_servo_command(path: Path, runs: object, *, model_file: Path | None, as_json: bool) -> None:
     """Judge a stored servo model on other recordings."""
-    from ident.commands.printing.graded import print_validated
+    from ident.commands.printing.result import print_validated
     from ident.tasks.servo import load_servo_model
 
     judged = load_servo_model(path).validate(runs, model_file=model_file)  # type: ignore[arg-type]

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from daq.commands.console import print_table
+from daq.commands.console import print_json, print_table
+from daq.output_files import REPORT_FILE
 from drivers.core.text import percent_text
 from ident.assessment.validation import Fit
 from ident.commands.printing.verdict import next_steps, print_everything, print_next, print_purposes
@@ -14,6 +15,7 @@ from ident.identify.data_split import labelled
 from ident.result.delivered import DELIVERED_WORDS
 from ident.result.schema import Result
 from ident.result.tables import Table
+from ident.tasks.arguments import GradedResult
 from ident.verdict.verdict import Verdict
 from ident.views.result_tables import (
     error_table,
@@ -122,3 +124,24 @@ def print_fit(title: str, joints: Sequence[str], unit: str, fit: Fit) -> None:
     """Errors of each joint, in a unit."""
     print(f"{title}: relative error {percent_text(fit.relative_error)} over {fit.samples} filtered samples")
     print_tables([error_table("", joints, unit, {"": fit})])
+
+
+def print_identified(model: GradedResult, folder: Path, use: str, *, verbose: bool) -> None:
+    """The verdict and the errors; with `verbose` every parameter."""
+    print(model.verdict)
+    print_tables([model.errors, *([model.parameters] if verbose else [])])
+    print(f"\n{'' if verbose else 'Parameters with intervals: --verbose, or the report. '}{folder / REPORT_FILE}")
+    print(f"next: {use}")
+
+
+def print_validated(model: GradedResult, path: Path, errors: Table, *, as_json: bool) -> None:
+    """The verdict on other recordings, and the errors; or both as a JSON object."""
+    result = model.result
+    if as_json:
+        assert result.validation is not None
+        print_json(
+            {"result": path, "joints": result.joints, "validation": result.validation, "verdict": result.verdict}
+        )
+        return
+    print(model.verdict)
+    print_tables([errors])

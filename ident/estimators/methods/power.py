@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,11 +29,7 @@ class PowerSamples:
     """Equations of power, one a filtered sample."""
 
     kernel: EnergyKernel  # for the base columns
-
-    @property
-    def overlap(self) -> int:
-        """Rows share data only through the filter."""
-        return 1
+    overlap: ClassVar[int] = 1  # rows share data only through the filter
 
     def rows(self, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[EnergyRows]:
         """The equations of one segment."""

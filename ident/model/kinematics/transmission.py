@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +30,9 @@ class TreeMotion:
 class Transmission(ABC):
     """How n joints of a tree, a of them with a motor, and the motors move each other."""
 
+    direct: ClassVar[bool] = False  # whether every joint of the tree has a motor that it moves alone
+    # whether the joints without a motor follow by equations that some positions may not fulfil
+    solved_numerically: ClassVar[bool] = False
     active: tuple[int, ...]  # (a,) indices of the tree's joints that have a motor, in the order of every array
     coupling: FloatArray  # (a, a) R of q_motor = R·q_active
     pair_friction: tuple[bool, ...]  # (a,) whether a coupled joint rubs beside its motor (SR400 eq. 8)
@@ -40,19 +44,9 @@ class Transmission(ABC):
         """Joints of the tree, n."""
 
     @property
-    def direct(self) -> bool:
-        """Return whether every joint of the tree has a motor that it moves alone."""
-        return False
-
-    @property
     def closed(self) -> bool:
         """Return whether some joint has no motor."""
         return self.joint_count > len(self.active)
-
-    @property
-    def solved_numerically(self) -> bool:
-        """Return whether the joints without a motor follow by equations that some positions may not fulfil."""
-        return False
 
     @property
     def coupled(self) -> tuple[bool, ...]:
@@ -192,10 +186,7 @@ class LinearTransmission(Transmission):
 class DirectTransmission(LinearTransmission):
     """The identity: every joint of the tree has a motor that it moves alone."""
 
-    @property
-    def direct(self) -> bool:
-        """Implement `Transmission`."""
-        return True
+    direct = True
 
     def motor_rate(self, rate: FloatArray) -> FloatArray:
         """Implement `Transmission`."""

@@ -31,6 +31,7 @@ class ClosedPose:
 class ClosedLoops(Transmission):
     """Joints that follow by closing equations."""
 
+    solved_numerically = True
     names: tuple[str, ...]  # of the tree's joints, for messages
     equations: LoopEquations  # their closing equations
     start: FloatArray  # (n,) tree position that closes, on the branch that is meant [rad or m]
@@ -42,11 +43,6 @@ class ClosedLoops(Transmission):
     def joint_count(self) -> int:
         """Implement `Transmission`."""
         return len(self.start)
-
-    @property
-    def solved_numerically(self) -> bool:
-        """Implement `Transmission`."""
-        return True
 
     def tree_position(self, position: FloatArray) -> FloatArray:
         """Positions of the tree's joints, as in `Transmission`.
