@@ -154,6 +154,8 @@ def print_table(table: Table) -> None:
         print(f"| {name} | {' | '.join(values)} |".replace(" -", " −"))
     print()
     for label, fit in (("free", free), ("loaded", loaded)):
+        assert fit.validation is not None
+        assert fit.essential.validation is not None
         print(
             f"{label}: {len(fit.pruned.solution.active)} of {fit.base.count} parameters essential; relative error "
             f"{100 * fit.fit.relative_error:.2f} %, on another motion {100 * fit.validation.relative_error:.2f} %, "

@@ -166,7 +166,7 @@ class SignalTableArm:
         assert settings.command is not None
         self._commander = Commander(settings.command, names)
         self._plant = TablePlant(start, begun)
-        self._arm = TableArm(self._plant, JOINTS, settings)
+        self._arm = TableArm(self._plant, JOINTS, settings)  # type: ignore[arg-type]  # has what a table needs
         self._arm.obey(0x200, b"\1")
         self._begun, self._time = begun, begun
 

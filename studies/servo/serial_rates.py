@@ -50,9 +50,8 @@ def rows(file: RobotFile, wire: str, rate: float, seconds: float, *, moves: bool
         }
         start = np.array([0.5 * sum(joint.position) for joint in robot.joints])
         settings = replace(driver_settings(robot, keys), clock=clock)
-        server = SerialServoServer(
-            file, parse_settings(keys, robot.joint_names, None, wire), start, line_end=line, clock=clock
-        )
+        served = parse_settings(keys, robot.joint_names, None, wire)
+        server = SerialServoServer(file, served, start, line_end=line, clock=clock)  # type: ignore[arg-type]
         for servo in server.servos:
             servo.put("return_delay", 0)
         driver = SerialServoDriver(settings, wire)
