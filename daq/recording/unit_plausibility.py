@@ -29,9 +29,6 @@ COUNTS = 3.0
 SPEED_QUANTILE = 0.95
 """Quantile of the speeds that counts: encoders that wrap jump."""
 
-SEAM, MOST_SEAMS = 20.0, 0.05
-"""Departure of a displacement, over the median one, that is a jump's, and the share of such displacements at most."""
-
 _LAG = 5  # samples between which a speed is taken: noise of neighbours is none
 
 
@@ -61,7 +58,7 @@ def near(ratio: float, expected: float) -> bool:
 
 
 def displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatArray) -> list[float | None]:
-    """Per joint the slope of Δposition over ∫velocity dt (trapezoids); None where they don't go together.
+    """Per joint the median of Δposition over ∫velocity dt (trapezoids); None where they don't go together.
 
     Positions [rad or m] and velocities [rad/s or m/s] are (N, n).
     """
@@ -73,21 +70,10 @@ def displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatA
     moved, expected = np.diff(position[edges], axis=0), np.diff(integral[edges], axis=0)
     ratios: list[float | None] = []
     for actual, predicted in zip(moved.T, expected.T, strict=True):
-        actual, predicted = _without_seams(actual, predicted)
         energy, power = float(predicted @ predicted), float(actual @ actual)
         cross = float(actual @ predicted)
         norm = math.sqrt(energy) * math.sqrt(power)
         usable = 0 < norm < math.inf and math.isfinite(cross) and abs(cross) > CORRELATED * norm
-        ratios.append(cross / energy if usable and energy > 0 else None)
+        far = np.abs(predicted) > 0.1 * np.abs(predicted).max(initial=0.0)  # the median ignores jumps
+        ratios.append(float(np.median(actual[far] / predicted[far])) if usable else None)
     return ratios
-
-
-def _without_seams(actual: FloatArray, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Displacements (K,) without the few that leave the median ratio far: a joint jumps there, rows are missing."""
-    moving = np.abs(predicted) > 0.1 * np.abs(predicted).max(initial=0.0)
-    if not moving.any():
-        return actual, predicted
-    rest = np.abs(actual - float(np.median(actual[moving] / predicted[moving])) * predicted)
-    near = rest <= SEAM * float(np.median(rest))
-    few = np.count_nonzero(~near) <= MOST_SEAMS * len(near)
-    return (actual[near], predicted[near]) if few else (actual, predicted)

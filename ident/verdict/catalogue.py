@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ident.verdict.check import ALL, PARAMETERS, PREDICTION, Check, CheckKind, note
+from ident.verdict.check import ALL, PARAMETERS, PREDICTION, Check, CheckKind, note, wrong
 from ident.verdict.recording_kinds import EXCITATION, RECORDING
 
 _MODEL = (
@@ -22,139 +22,72 @@ _MODEL = (
         "an unconstrained motor inertia is negative",
         "Set `inertia: false` where torque sensors sit behind the gearbox, or use --no-motor-inertia.",
     ),
-    CheckKind(
+    wrong(
         "gravity-opposite",
-        "mistake",
-        "serious",
-        ALL,
         "the data fit gravity with the opposite sign better",
         "Check `model.gravity`, the mounting, and the signs of the drive gains.",
     ),
-    CheckKind(
+    wrong(
         "gravity-missing",
-        "mistake",
-        "serious",
-        ALL,
         "the torques hold no gravity",
         "Record the torques of the motors, not those beyond a compensation of gravity.",
     ),
-    CheckKind(
+    wrong(
         "gravity-direction",
-        "mistake",
-        "serious",
-        ALL,
         "the data fit another direction of gravity better",
         "Check `model.gravity` and the mounting; the message gives the direction.",
     ),
-    CheckKind(
+    wrong(
         "torques-opposite",
-        "mistake",
-        "serious",
-        ALL,
         "all torques have the opposite sign",
         "Reverse the sign of all drive gains, or import with --repair opposite-torque.",
     ),
-    CheckKind(
+    wrong(
         "positions-opposite",
-        "mistake",
-        "serious",
-        ALL,
         "all positions have the opposite sign",
         "Reverse the position columns, or the axes in the robot file.",
     ),
-    CheckKind(
-        "torque-sign",
-        "mistake",
-        "serious",
-        ALL,
-        "the torque of a joint has the opposite sign",
-        "Check the sign of this joint's drive gain.",
-    ),
-    CheckKind(
+    wrong("torque-sign", "the torque of a joint has the opposite sign", "Check the sign of this joint's drive gain."),
+    wrong(
         "position-sign",
-        "mistake",
-        "serious",
-        ALL,
         "the position of a joint has the opposite sign",
         "Check the sign of its position column and its axis in the robot file.",
     ),
-    CheckKind(
+    wrong(
         "joint-sign",
-        "mistake",
-        "serious",
-        ALL,
         "position and torque of a joint both have the opposite sign",
         "Check the direction of its axis in the robot file.",
     ),
-    CheckKind(
+    wrong(
         "torques-exchanged",
-        "mistake",
-        "serious",
-        ALL,
         "the torques of two joints are swapped",
         "Check the order of the torque or current columns.",
     ),
-    CheckKind(
-        "positions-exchanged",
-        "mistake",
-        "serious",
-        ALL,
-        "the positions of two joints are swapped",
-        "Check the order of the position columns.",
-    ),
-    CheckKind(
+    wrong("positions-exchanged", "the positions of two joints are swapped", "Check the order of the position columns."),
+    wrong(
         "joints-exchanged",
-        "mistake",
-        "serious",
-        ALL,
         "positions and torques of two joints are swapped",
         "Check the order of columns and of the robot file's joints.",
     ),
-    CheckKind(
-        "position-scaled",
-        "mistake",
-        "serious",
-        ALL,
-        "the position of a joint is off by a factor",
-        "Check its gear ratio and encoder counts.",
-    ),
-    CheckKind(
-        "time-reversed",
-        "mistake",
-        "serious",
-        ALL,
-        "the recording runs backwards in time",
-        "Check the order of the rows and their stamps.",
-    ),
-    CheckKind(
+    wrong("position-scaled", "the position of a joint is off by a factor", "Check its gear ratio and encoder counts."),
+    wrong("time-reversed", "the recording runs backwards in time", "Check the order of the rows and their stamps."),
+    wrong(
         "torque-shifted",
-        "mistake",
-        "serious",
-        ALL,
         "torques belong to another time than the positions",
         "Check how torque and position are stamped and merged; shift the column by the time in the message.",
     ),
-    CheckKind(
+    wrong(
         "motors-coupled",
-        "mistake",
-        "serious",
-        ALL,
         "the recorded torques belong to coupled motors",
         "State `model.coupling` in the robot file, or record the joints' own torques and positions.",
     ),
-    CheckKind(
+    wrong(
         "sign-or-column",
-        "mistake",
-        "serious",
-        ALL,
         "some joints have a wrong sign or column",
         "The data do not show which joint: check signs and column order of those named.",
     ),
-    CheckKind(
+    wrong(
         "unsigned-torque",
-        "mistake",
-        "serious",
-        ALL,
         "torques were recorded without their sign",
         "Record signed torques or currents; a lost sign cannot be restored.",
     ),
@@ -182,19 +115,13 @@ _MODEL = (
         "the position of a joint has an error that repeats with its angle",
         "Check the encoder's centring and correction table, or move more slowly.",
     ),
-    CheckKind(
+    wrong(
         "wrong-gain",
-        "mistake",
-        "serious",
-        ALL,
         "the torque of a joint is off by a factor",
         "Check its unit and gain (gear ratio included), or identify the gains with a known load (`dynid gains`).",
     ),
-    CheckKind(
+    wrong(
         "other-size",
-        "mistake",
-        "serious",
-        ALL,
         "the robot file has the lengths of an arm of another size, or all stamps are off by a factor",
         "Use the robot file or URDF of this arm; check the stamps' unit and rate.",
     ),
@@ -242,11 +169,8 @@ _MODEL = (
         "no physically consistent parameters were found",
         "Check the units of the recording, the geometry, and `known` and `prior` of the robot file.",
     ),
-    CheckKind(
+    wrong(
         "implausible-mass",
-        "mistake",
-        "serious",
-        ALL,
         "the torques imply a mass that is impossible for an arm of this size, payload or URDF",
         "Check the unit of torque or current, the drive gains, and the lengths (m, not mm).",
     ),
@@ -384,19 +308,13 @@ _VALIDATION = (
         "the validation error is larger than the identification's only below 0.1 rad/s (or m/s)",
         "Expect errors at starts, stops and reversals.",
     ),
-    CheckKind(
+    wrong(
         "recording-changes",
-        "mistake",
-        "serious",
-        ALL,
         "the arm changed during the recording",
         "A drive gain, an encoder zero or a load changed: use the part before or after, or record again.",
     ),
-    CheckKind(
+    wrong(
         "recordings-differ",
-        "mistake",
-        "serious",
-        ALL,
         "the recordings show different bodies",
         "Tool, load, gain or zero differ: identify each separately, and compare with `dynid diff`.",
     ),

@@ -71,6 +71,11 @@ def note(name: str, subject: Subject, meaning: str, remedy: str) -> CheckKind:
     return CheckKind(name, subject, "note", (), meaning, remedy)
 
 
+def wrong(name: str, meaning: str, remedy: str) -> CheckKind:
+    """A kind of mistake that spoils every purpose."""
+    return CheckKind(name, "mistake", "serious", ALL, meaning, remedy)
+
+
 ALL = PURPOSES
 PREDICTION: tuple[Purpose, ...] = ("torque_prediction", "collision_detection")
 PARAMETERS: tuple[Purpose, ...] = ("simulation", "payload_estimation")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.verdict.check import ALL, PARAMETERS, PREDICTION, CheckKind, note
+from ident.verdict.check import ALL, PARAMETERS, PREDICTION, CheckKind, note, wrong
 
 RECORDING = (
     note(
@@ -11,11 +11,8 @@ RECORDING = (
         "the recording was stopped early or not closed properly",
         "Its end may be missing; `dynid recover` saves what a crash left.",
     ),
-    CheckKind(
+    wrong(
         "hand-guided",
-        "mistake",
-        "serious",
-        ALL,
         "the arm was led by hand, whose forces the torques do not contain",
         "Identify from a motion that dynid plays.",
     ),
@@ -45,60 +42,39 @@ RECORDING = (
         "the time stamps jitter",
         "Use the robot controller's stamps, not those of the receiving computer.",
     ),
-    CheckKind(
+    wrong(
         "position-unit",
-        "mistake",
-        "serious",
-        ALL,
         "positions are in degrees or millimetres",
         "Convert them, import with --degrees, or correct the robot file's limits.",
     ),
-    CheckKind(
+    wrong(
         "position-jump",
-        "mistake",
-        "serious",
-        ALL,
         "a position jumps between two samples",
         "The encoder lost counts or its zero: use the part before or after, or record again.",
     ),
-    CheckKind(
+    wrong(
         "motion-as-torque",
-        "mistake",
-        "serious",
-        ALL,
         "the torque column holds positions or velocities",
         "Name the torque or current column: --column torque=NAME.",
     ),
-    CheckKind(
+    wrong(
         "steady-torque",
-        "mistake",
-        "serious",
-        ALL,
         "no torque changes with the motion",
         "The column may be another quantity, such as a temperature: --column torque=NAME.",
     ),
     CheckKind("same-column", "mistake", "serious", ALL, "two joints have the same torque", "Check the column names."),
-    CheckKind(
+    wrong(
         "torque-frozen",
-        "mistake",
-        "serious",
-        ALL,
         "a motor signal stands still while its joint moves",
         "Identify without this time (--start, --stop), or leave this torque out (--torques-of).",
     ),
-    CheckKind(
+    wrong(
         "torque-wraps",
-        "mistake",
-        "serious",
-        ALL,
         "a motor signal overflows and goes on at the other end of its range",
         "Record it with more bits, or add its range where it jumps.",
     ),
-    CheckKind(
+    wrong(
         "position-velocity-exchanged",
-        "mistake",
-        "serious",
-        ALL,
         "position and velocity are swapped",
         "Check the column names: --column position=NAME --column velocity=NAME.",
     ),
@@ -114,11 +90,8 @@ RECORDING = (
         "angles wrap around after a full turn",
         "Segments end there; record continuous angles.",
     ),
-    CheckKind(
+    wrong(
         "wrong-time-axis",
-        "mistake",
-        "serious",
-        ALL,
         "the time stamps are off by a constant factor",
         "Import again with the right --time-unit or --rate; the message gives the factor.",
     ),
@@ -152,11 +125,8 @@ RECORDING = (
         "the torque lags the motion by more than drives do",
         "The delay is taken out: check filters of torque or current, and the stamps of both signals.",
     ),
-    CheckKind(
+    wrong(
         "unsigned-signal",
-        "mistake",
-        "serious",
-        ALL,
         "a motor signal has lost its sign",
         "Record it with its sign, or identify a servo model from commands and positions (--method servo).",
     ),
@@ -264,11 +234,8 @@ RECORDING = (
         "an encoder is stuck while its joint moves",
         "These samples are left out: check the encoder, its cable and the bus.",
     ),
-    CheckKind(
+    wrong(
         "filled-with-zeros",
-        "mistake",
-        "serious",
-        ALL,
         "drop-outs of a signal were filled with zeros",
         "Leave these samples out, or write NaN and import with --repair drop-nan.",
     ),
@@ -294,27 +261,18 @@ RECORDING = (
         "Record a motion that `dynid excite` designed.",
     ),
     note("slow-motion", "data", "joints stay far below their velocity limits", "Record a faster motion."),
-    CheckKind(
+    wrong(
         "torque-beyond-limits",
-        "mistake",
-        "serious",
-        ALL,
         "recorded torques are far above the joints' limits",
         "Check the unit of the current (A, not mA), the drive gains, and the robot file's torque limits.",
     ),
-    CheckKind(
+    wrong(
         "torque-far-below-limits",
-        "mistake",
-        "serious",
-        ALL,
         "recorded torques are orders of magnitude below the joints' limits",
         "Check the unit of the current (A, not kA), the drive gains (gear ratio included), and the limits.",
     ),
-    CheckKind(
+    wrong(
         "implausible-load",
-        "mistake",
-        "serious",
-        ALL,
         "recorded torques imply a load that is impossible for an arm of this size",
         "Check the unit of the current (A, not mA) and the drive gains.",
     ),

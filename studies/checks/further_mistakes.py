@@ -38,9 +38,10 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.simulation import open_loop, tracking
 from ident.verdict.catalogue import MISTAKES
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks import random_mistakes
 from studies.checks.mistaken_recordings import turned
-from studies.checks.partial_mistakes import ONLY, Spoiling, arm, edited, recorded, rows_taken, with_time
+from studies.checks.partial_mistakes import DURATION, ONLY, RATE, Spoiling, arm, edited, recorded, rows_taken, with_time
 from studies.checks.random_mistakes import signals, with_signals
 from studies.models.consistency import public
 from studies.synthetic.data_mistakes import sampled, with_velocity
@@ -229,7 +230,8 @@ def true_error(found: Identification, sound: Instants) -> float:
 def rows_of(name: str, data: Path) -> None:
     """Print what is said of each mistake on an arm."""
     choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
-    truth, again = None, None
+    truth: Instants | None = None
+    again: Callable[[RobotFile], Recording] | None = None
     if name in PUBLIC:
         run, own = public(data, name)
         run = with_velocity(sampled(run, PUBLIC[name]))
@@ -239,7 +241,11 @@ def rows_of(name: str, data: Path) -> None:
     else:
         robot_file = robot_of(name)
         seed = sum(map(ord, name))
-        again = partial(recorded, seed=seed)
+        motion = random_fourier_motion(build_model(robot_file), 10.0, seed, candidates=5)
+
+        def again(file: RobotFile) -> Recording:
+            return with_velocity(simulate_recording(file, motion, DURATION, seed, rate=RATE))
+
         run = again(robot_file)
         other = identify([recorded(robot_file, seed + 1)], [], choices, robot_file)
         truth = instants(RegressorKernel(other.model, other.base.columns), [one.prepared for one in other.runs])

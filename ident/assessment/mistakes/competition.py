@@ -122,13 +122,13 @@ class Competition:
             moved = self.instants.with_positions(mistake.positions)
             if backwards:
                 moved = replace(moved, velocity=-moved.velocity, friction=None)
-            if mistake.coupling and mistake.signal == "both":
+            if mistake.coupling and mistake.signal != "torque":
                 moved = moved.less(mistake.joints[0], mistake.joints[1], mistake.coupling)
             regressor = moved.regressor(kernel)
             friction = on_active(friction_conditions(self.model, self.base, moved, regressor), self.active)
             conditions = np.vstack([self._inertia, friction])
             rows = regressor[:, self.active]
-            if mistake.coupling:
+            if mistake.coupling and mistake.signal != "position":
                 rows = self._of_motors(mistake, rows)
                 conditions = np.pad(conditions, ((0, 0), (0, rows.shape[1] - conditions.shape[1])))
             system = equations(rows, moved, self.experiment.torques)
@@ -197,7 +197,8 @@ class Competition:
 
     def explains(self, one: Explanation, recorded: HypothesisFit) -> bool:
         """Return whether a mistake explains what the recording as it is does not, in all of it and well."""
-        if recorded.level - one.fit.level < HALVED:
+        # Without gravity there is nothing more to fit with: what fits as well then is no coincidence.
+        if recorded.level - one.fit.level < (RIVAL if one.mistake.name == "gravity-missing" else HALVED):
             return False
         joints = list(one.mistake.joints)
         if self.error(one) > EXPLAINED or (len(joints) < 3 and np.any(one.fit.relative[joints] > JOINT_EXPLAINED**2)):
@@ -289,7 +290,9 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     others = [competition.with_deviation(rival) for rival in rivals.values()]
     if any(other is not None and other[0].level < lowest + RIVAL for other in others):
         return []
-    return _simplest([one.mistake for one in found if one.fit.level < lowest + RIVAL])
+    best = found[0].mistake
+    alike = [one.mistake for one in found if one.fit.level < lowest + RIVAL]
+    return [best] if best.name == "gravity-missing" else _simplest(alike)
 
 
 def _simplest(alike: Sequence[Mistake]) -> list[Mistake]:

@@ -33,7 +33,7 @@ class Mistake:
     torques: Columns
     positions: Columns
     # factor with which the second joint's motion turns the first one's motor; 0 of all other mistakes. Torques are the
-    # motors', and positions, too, where they are wrong as well.
+    # motors', positions, or both
     coupling: float = 0.0
 
 
@@ -111,7 +111,7 @@ def couplings(count: int, joints: Sequence[int]) -> list[Mistake]:
     ]
 
 
-_OF_MOTORS: tuple[Signal, ...] = ("torque", "both")
+_OF_MOTORS: tuple[Signal, ...] = ("torque", "position", "both")
 
 
 def _other_orders(joints: Sequence[int]) -> list[tuple[int, ...]]:

@@ -70,8 +70,6 @@ def identification_checks(identification: Identification) -> list[Check]:
     # Data of another unit, or filled with zeros, fit other explanations by accident.
     unsound = any(check.severity == "serious" for check in checks)
     mistakes = [] if unsound else _mistake_checks(identification)
-    if identification.delay is not None and identification.delay.explains_error:
-        mistakes = [mistake for mistake in mistakes if mistake.name not in MODEL_ERRORS]
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file, identification.model, torque)
     scale = _urdf_scale(identification)
@@ -103,7 +101,10 @@ def identification_checks(identification: Identification) -> list[Check]:
     checks += [
         mistake
         for mistake in mistakes
-        if not (mistake.name in (*MODEL_ERRORS, "recording-changes") and clipped.intersection(mistake.joints))
+        if not (
+            mistake.name in (*MODEL_ERRORS, "recording-changes", "torque-shifted")
+            and clipped.intersection(mistake.joints)
+        )
         and not (mistake.name == "position-late" and (resting.intersection(mistake.joints) or _rows_missing(checks)))
         and not (mistake.name in MODEL_ERRORS and mistake.name != "position-late" and idle)
     ]
@@ -218,9 +219,12 @@ def _mistake_checks(identification: Identification) -> list[Check]:
             identification.corrected.effective_rows,
             _whole_recording(identification),
         )
+        delay = identification.delay
+        by_delay = (*MODEL_ERRORS, "torque-shifted") if delay and (delay.explains_error or delay.drifts) else ()
         return [
             with_opposite_torques(identification, check) if check.name == "torques-opposite" else check
             for check in of_mistakes
+            if check.name not in by_delay
         ]
     opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
     return [opposite_gravity()] if opposite else []

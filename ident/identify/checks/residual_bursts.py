@@ -41,6 +41,9 @@ SLOW = 0.1
 REVERSAL = 0.1
 """[s] before and after a reversal that do not count, since the filter spreads what happens there."""
 
+MOST_REPEATED = 0.1
+"""Share of rows that repeat others beyond which the holes that they leave make bursts of their own."""
+
 COUNTED = 0.5
 """Share of a window's samples that must count for a joint."""
 
@@ -88,7 +91,9 @@ def burst_checks(identification: Identification) -> list[Check]:
     torques = identification.experiment.torques
     errors = [fit.relative_error for fit in (identification.fit, identification.validation) if fit is not None]
     small = max(errors) < LEAST_ERROR
-    if identification.choices.estimator.equations == "energy" or not torques or small:
+    stale = [run.signals.stale for run in identification.runs if run.signals.stale is not None]
+    holes = any(np.mean(one.repeated | one.held) > MOST_REPEATED for one in stale)
+    if identification.choices.estimator.equations == "energy" or not torques or small or holes:
         return []
     halves = tuple(
         (runs, _away_from_gaps(runs, series))
