@@ -32,6 +32,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms
+from studies.synthetic.data_mistakes import with_values
 
 ROBOTS = ("ur5e", "rocr6", "panda")
 GAINS = (0.05, 0.1, 0.2)
@@ -46,11 +47,8 @@ def with_gain(recording: Recording, joint: int, factor: float) -> Recording:
     stream = recording.streams[JOINTS_STREAM]
     scale = np.ones(len(stream.channels["position"].columns))
     scale[joint] = factor
-    channels = {
-        name: channel if name == "position" else replace(channel, values=channel.values * scale)
-        for name, channel in stream.channels.items()
-    }
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    signals = stream.channels.keys() - {"position"}
+    return with_values(recording, **{name: stream.channels[name].values * scale for name in signals})
 
 
 def lengths(robot_file: RobotFile) -> Iterator[tuple[int, str]]:

@@ -12,7 +12,6 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,6 +30,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms
+from studies.synthetic.data_mistakes import with_values
 
 ASSUMPTIONS = ("linearity", "independence", "constant_variance", "normality")
 ROBOTS = ("ur5e", "rocr6")
@@ -82,11 +82,9 @@ def changed(recording: Recording, robot_file: RobotFile, change: Change, seed: i
     name = "current" if "current" in stream.channels else "torque"
     gains = np.array([robot.drive(joint).gain or 1.0 for joint in robot.joint_names]) if name == "current" else 1.0
     std = np.array([robot.truth.noise.torque_std.get(joint, 0.0) for joint in robot.joint_names])
-    channel = stream.channels[name]
     velocity = np.gradient(stream.channels["position"].values, stream.time, axis=0)
-    torque = change(channel.values * gains, std, velocity, np.random.default_rng(1000 + seed))
-    channels = {**stream.channels, name: replace(channel, values=torque / gains)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    torque = change(stream.channels[name].values * gains, std, velocity, np.random.default_rng(1000 + seed))
+    return with_values(recording, **{name: torque / gains})
 
 
 def simulated(count: int) -> None:

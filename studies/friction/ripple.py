@@ -32,6 +32,7 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.regression.comparison import TorqueSeries
 from studies.models.consistency import public
+from studies.synthetic.data_mistakes import with_values
 
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 30, 40, 50, 60, 80, 100, 101, 120, 121, 160, 200, 202, 240, 242)
 
@@ -102,9 +103,7 @@ def rippled(run: Recording, share: float) -> Recording:
     name = next(name for name in ("torque", "current") if name in stream.channels)
     gains = np.array([robot.drive(joint).gain or 1.0 for joint in robot.joint_names]) if name == "current" else 1.0
     added = size * (np.sin(position + 1.0) + np.sign(np.gradient(position, axis=0)) * np.cos(position))
-    values = stream.channels[name].values + added / gains
-    channels = {**stream.channels, name: replace(stream.channels[name], values=values)}
-    return replace(run, streams={**run.streams, JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(run, **{name: stream.channels[name].values + added / gains})
 
 
 def several() -> None:

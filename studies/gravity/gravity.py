@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -27,6 +26,7 @@ from ident.model.base_parameters import gravity_base, gravity_rows, random_state
 from ident.model.parameters import INERTIAL
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 RATE = 25.0
 POSES = 200
@@ -91,12 +91,9 @@ def _noisy(run: Recording, robot_file: RobotFile, seed: int) -> Recording:
     """The recording with noise, where the robot file states none."""
     if any(robot_file.robot.truth.noise.torque_std.values()):
         return run
-    stream = run.streams[JOINTS_STREAM]
-    channel = stream.channels["torque"]
-    scale = NOISE * np.sqrt(np.mean(channel.values**2, axis=0))
-    values = channel.values + scale * np.random.default_rng(seed).standard_normal(channel.values.shape)
-    channels = {**stream.channels, "torque": replace(channel, values=values)}
-    return replace(run, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    torque = run.streams[JOINTS_STREAM].channels["torque"].values
+    scale = NOISE * np.sqrt(np.mean(torque**2, axis=0))
+    return with_values(run, torque=torque + scale * np.random.default_rng(seed).standard_normal(torque.shape))
 
 
 def _wrong_masses(robot_file: RobotFile, model, base, rows, weighing, truth) -> float:  # type: ignore[no-untyped-def]

@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -35,6 +35,7 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.tasks.comparison import ComparedModel, compare
 from studies.papers.aubo_session import COLD, PERIOD, RATE, WARM, aubo, excitation, played, sweep, temperatures
+from studies.synthetic.data_mistakes import with_values
 
 MODELS = {
     "default": "coulomb-viscous",
@@ -103,9 +104,7 @@ def without_temperature(recording: Recording, found: Identification) -> Recordin
             torque[:, joint] += coefficient * factor * root[:, joint]
     robot = recording.robot().robot
     gains = np.array([robot.drive(name).gain for name in robot.joint_names], dtype=np.float64)
-    changed = replace(current, values=current.values - torque / gains)
-    channels = {**stream.channels, "current": changed}
-    return replace(recording, streams={**recording.streams, JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(recording, current=current.values - torque / gains)
 
 
 def _velocity(position: FloatArray) -> FloatArray:

@@ -19,7 +19,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -39,6 +38,7 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.papers.sr400_table4 import with_paper_load
+from studies.synthetic.data_mistakes import with_values
 from studies.synthetic.random_points import random_points_motion
 
 METHODS: tuple[str, ...] = ("wls", "energy", "power")
@@ -53,11 +53,8 @@ WEAK_LOW_PASS = 80.0
 
 def with_encoder_noise(recording: Recording, std: float, seed: int) -> Recording:
     """White noise [rad] on every position."""
-    stream = recording.streams[JOINTS_STREAM]
-    channel = stream.channels["position"]
-    noise = std * np.random.default_rng(seed).standard_normal(channel.values.shape)
-    channels = {**stream.channels, "position": replace(channel, values=channel.values + noise)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    position = recording.streams[JOINTS_STREAM].channels["position"].values
+    return with_values(recording, position=position + std * np.random.default_rng(seed).standard_normal(position.shape))
 
 
 def identified(

@@ -16,7 +16,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -40,6 +39,7 @@ from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from studies.payload.gains import HIDDEN, LOAD, SLOW_DURATION, slow_motion
 from studies.synthetic.altered_arms import with_gains
+from studies.synthetic.data_mistakes import with_values
 
 RATE = 25.0
 SWING = 1.2
@@ -114,9 +114,7 @@ def with_friction(arm: RobotFile, recording: Recording, motion: Motion, friction
         for start, stop in true_runs(rests):
             more[joint, start:stop] = coulomb[joint] * generator.uniform(-1.0, 1.0)
     gains = np.array([arm.robot.drive(name).gain for name in names])
-    channel = stream.channels["current"]
-    channels = {**stream.channels, "current": replace(channel, values=channel.values + (more / gains[:, None]).T)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(recording, current=stream.channels["current"].values + (more / gains[:, None]).T)
 
 
 def cells(results: list[Any]) -> list[str]:

@@ -45,6 +45,7 @@ from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_filter, kalma
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms
+from studies.synthetic.data_mistakes import with_values
 
 WAYS: tuple[Differentiation, ...] = get_args(Differentiation)
 SEEDS = (1, 2, 3)
@@ -224,11 +225,9 @@ def simulated_identifications() -> None:
 
 def _noisy(recording: Recording, noise: float, seed: int) -> Recording:
     """The recording with white noise on its positions."""
-    stream = recording.streams[JOINTS_STREAM]
-    channel = stream.channels["position"]
-    values = channel.values + noise * np.random.default_rng(100 + seed).standard_normal(channel.values.shape)
-    channels = {**stream.channels, "position": replace(channel, values=values)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    position = recording.streams[JOINTS_STREAM].channels["position"].values
+    added = noise * np.random.default_rng(100 + seed).standard_normal(position.shape)
+    return with_values(recording, position=position + added)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import replace
 from unittest.mock import patch
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,6 +29,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 ROBOTS = ("ur5e", "rocr6", "panda")
 DURATION = 30.0
@@ -74,12 +74,9 @@ CASES: dict[str, tuple[tuple[str, ...], Change]] = {
 def spoilt(recording: Recording, quantities: tuple[str, ...], change: Change, seed: int) -> Recording:
     """The recording with outliers in some quantities."""
     generator = np.random.default_rng(seed)
-    stream = recording.streams[JOINTS_STREAM]
-    channels = {
-        name: replace(channel, values=change(channel.values, generator)) if name in quantities else channel
-        for name, channel in stream.channels.items()
-    }
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    channels = recording.streams[JOINTS_STREAM].channels
+    changed = {name: change(channels[name].values, generator) for name in channels if name in quantities}
+    return with_values(recording, **changed)
 
 
 def as_recorded(_: FloatArray, values: FloatArray) -> CleanSignal:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -30,6 +29,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 ROBOTS = ("ur5e", "rocr6", "panda")
 METHODS = ("ols", "wls", "irls", "irls:weights=huber", "irls:weights=tukey")
@@ -95,12 +95,7 @@ FAULTS: dict[str, Fault] = {
 
 def spoilt(recording: Recording, fault: Fault, seed: int) -> Recording:
     """The recording with a fault; the recorded velocity, which does not have it, left out."""
-    stream = recording.streams[JOINTS_STREAM]
-    changed = fault(stream, np.random.default_rng(seed))
-    channels = {
-        name: replace(channel, values=changed.get(name, channel.values)) for name, channel in stream.channels.items()
-    }
-    return replace(recording, streams={**recording.streams, JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(recording, **fault(recording.streams[JOINTS_STREAM], np.random.default_rng(seed)))
 
 
 def recordings(robot: str, seed: int) -> tuple[Recording, Recording]:

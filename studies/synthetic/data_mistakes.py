@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording, Stream
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray, IntArray
 from drivers.streams import UNITS
 
 
@@ -30,7 +30,7 @@ def stuck_encoder(recording: Recording, joint: int, start: float, seconds: float
     position = stream.channels["position"].values.copy()
     first, stop = np.searchsorted(stream.time - stream.time[0], [start, start + seconds])
     position[first:stop, joint] = position[first, joint]
-    return _values(recording, {"position": position})
+    return with_values(recording, position=position)
 
 
 def repeated_rows(recording: Recording, share: float, seed: int, quantities: Sequence[str] | None = None) -> Recording:
@@ -40,7 +40,7 @@ def repeated_rows(recording: Recording, share: float, seed: int, quantities: Seq
     repeated[0] = False
     source = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(repeated))))
     names = stream.channels if quantities is None else quantities
-    return _values(recording, {name: stream.channels[name].values[source] for name in names})
+    return with_values(recording, **{name: stream.channels[name].values[source] for name in names})
 
 
 def jittering_position(recording: Recording, seconds: float, seed: int) -> Recording:
@@ -49,7 +49,7 @@ def jittering_position(recording: Recording, seconds: float, seed: int) -> Recor
     read = stream.time + seconds * np.random.default_rng(seed).standard_normal(len(stream.time))
     values = stream.channels["position"].values
     moved = np.stack([np.interp(read, stream.time, column) for column in values.T], axis=1)
-    return _values(recording, {"position": moved})
+    return with_values(recording, position=moved)
 
 
 def contact(recording: Recording, share: float, size: float, seed: int) -> Recording:
@@ -71,7 +71,7 @@ def contact(recording: Recording, share: float, size: float, seed: int) -> Recor
                 phase = np.clip((stream.time - start) / 0.5, 0.0, 1.0)
                 values += np.sin(np.pi * phase)[:, None] * amplitude
             changed[name] = values
-    return _values(recording, changed)
+    return with_values(recording, **changed)
 
 
 def filled_with_zeros(recording: Recording, share: float, seed: int) -> Recording:
@@ -79,24 +79,30 @@ def filled_with_zeros(recording: Recording, share: float, seed: int) -> Recordin
     stream = recording.streams[JOINTS_STREAM]
     missing = np.random.default_rng(seed).random(len(stream.time)) < share
     signals = {name: stream.channels[name].values for name in MOTOR_SIGNALS if name in stream.channels}
-    return _values(recording, {name: np.where(missing[:, None], 0.0, values) for name, values in signals.items()})
+    return with_values(recording, **{name: np.where(missing[:, None], 0.0, values) for name, values in signals.items()})
 
 
 def sampled(recording: Recording, every: int) -> Recording:
     """Every so-many-th row."""
+    return with_rows(recording, slice(None, None, every))
+
+
+def with_rows(recording: Recording, kept: slice | IntArray | BoolArray) -> Recording:
+    """The recording with some rows of its joints alone."""
     stream = recording.streams[JOINTS_STREAM]
-    channels = {name: replace(channel, values=channel.values[::every]) for name, channel in stream.channels.items()}
-    thinned = replace(stream, time=stream.time[::every], host_time=stream.host_time[::every], channels=channels)
-    return replace(recording, streams={**recording.streams, JOINTS_STREAM: thinned})
+    channels = {name: replace(channel, values=channel.values[kept]) for name, channel in stream.channels.items()}
+    fewer = replace(stream, time=stream.time[kept], host_time=stream.host_time[kept], channels=channels)
+    return replace(recording, streams={**recording.streams, JOINTS_STREAM: fewer})
 
 
 def quantised(recording: Recording, position: float) -> Recording:
     """Positions of an encoder with this step [rad or m]."""
     values = recording.streams[JOINTS_STREAM].channels["position"].values
-    return _values(recording, {"position": np.round(values / position) * position})
+    return with_values(recording, position=np.round(values / position) * position)
 
 
-def _values(recording: Recording, values: dict[str, FloatArray]) -> Recording:
+def with_values(recording: Recording, **values: FloatArray) -> Recording:
+    """The recording with other values (N, n) of some quantities of its joints."""
     channels = recording.streams[JOINTS_STREAM].channels
     return _changed(recording, {name: replace(channels[name], values=value) for name, value in values.items()})
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dynid
+from studies.synthetic.data_mistakes import with_values
 
 
 @pytest.fixture(scope="module")
@@ -123,11 +124,8 @@ def test_a_recording_without_torque_is_predicted_without_a_residual(prediction, 
 
 
 def test_an_arm_at_rest_is_predicted_too(result, other):
-    joints = other.streams["joints"]
-    position = np.broadcast_to(joints.channels["position"].values[0], joints.channels["position"].values.shape)
-    channels = {**joints.channels, "position": replace(joints.channels["position"], values=position.copy())}
-    still = replace(other, streams={"joints": replace(joints, channels=channels)})
-    predicted = dynid.predict(result, still)
+    position = other.streams["joints"].channels["position"].values
+    predicted = dynid.predict(result, with_values(other, position=np.repeat(position[:1], len(position), axis=0)))
     held = np.broadcast_to(predicted.gravity[0], predicted.gravity.shape)
     np.testing.assert_allclose(predicted.gravity, held, rtol=0, atol=1e-9)
     np.testing.assert_allclose(predicted.inertial, 0.0, atol=1e-6)

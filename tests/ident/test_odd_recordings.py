@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ import dynid
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DynidError
+from studies.synthetic.data_mistakes import with_values
 from tests.ident.conftest import THREE_JOINT
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -87,9 +87,7 @@ def test_a_joint_that_toggles_an_encoder_step_is_at_rest(arm: RobotFile) -> None
     stream = recording.streams["joints"]
     noise = 0.1e-3 * np.random.default_rng(0).standard_normal((len(stream.time), 3))
     values = np.round((stream.channels["position"].values + 0.5e-3 + noise) / 1e-3) * 1e-3
-    channels = {**stream.channels, "position": replace(stream.channels["position"], values=values)}
-    toggling = replace(recording, streams={"joints": replace(stream, channels=channels)})
-    found = dynid.friction(toggling, friction="coulomb-viscous").result
+    found = dynid.friction(with_values(recording, position=values), friction="coulomb-viscous").result
     assert [joint.joint for joint in found.joints] == ["j1", "j2", "j3"]
     assert [joint.coulomb for joint in found.joints] == pytest.approx([6.0, 7.0, 2.0], rel=0.03)
     assert all(joint.offset_std is not None and joint.offset_std > 0.0 for joint in found.joints)

@@ -32,7 +32,14 @@ from ident.regression.least_squares import weighted_least_squares
 from ident.signals.pipeline import PreprocessChoices
 from ident.signals.prepared import Segment
 from ident.verdict.catalogue import raised
-from studies.synthetic.data_mistakes import jittering_position, repeated_rows, sampled, stuck_encoder, with_velocity
+from studies.synthetic.data_mistakes import (
+    jittering_position,
+    repeated_rows,
+    sampled,
+    stuck_encoder,
+    with_values,
+    with_velocity,
+)
 
 pytestmark = [pytest.mark.realdata, pytest.mark.usefixtures("not_simulated", "mistakes_not_sought")]
 
@@ -198,11 +205,8 @@ def test_stale_samples_and_units_of_the_positions(data_dir: Path, name: str) -> 
     (stuck,) = (check for check in stale_checks(stuck_encoder(run, 1, middle, 1.0)) if check.name == "encoder-stuck")
     assert stuck.joints == (joints[1],)
     assert "rows-repeated" in {check.name for check in stale_checks(repeated_rows(run, 0.13, 1))}
-    stream = run.streams[JOINTS_STREAM]
-    position = stream.channels["position"]
-    channels = stream.channels | {"position": replace(position, values=np.rad2deg(position.values))}
-    degrees = replace(run, streams={JOINTS_STREAM: replace(stream, channels=channels)})
-    (unit,) = unit_checks(degrees)
+    degrees = np.rad2deg(run.streams[JOINTS_STREAM].channels["position"].values)
+    (unit,) = unit_checks(with_values(run, position=degrees))
     assert "in degrees" in unit.text
 
 

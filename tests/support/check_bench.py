@@ -27,7 +27,7 @@ from ident.regression.options import ExperimentChoices
 from ident.result.schema import Result
 from ident.verdict.catalogue import raised
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
-from studies.synthetic.data_mistakes import stuck_encoder, with_velocity
+from studies.synthetic.data_mistakes import stuck_encoder, with_values, with_velocity
 
 PERIOD = 10.0
 SEARCHED = {"model": ModelChoices(), "presliding": True}
@@ -37,10 +37,8 @@ Names = frozenset[str]
 
 def changed(recording: Recording, change: Callable[[np.ndarray], np.ndarray], quantity: str = "current") -> Recording:
     """The recording with other values (N, n) of one quantity."""
-    stream = recording.streams[JOINTS_STREAM]
-    channel = stream.channels[quantity]
-    channels = dict(stream.channels) | {quantity: replace(channel, values=change(channel.values.copy()))}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    values = recording.streams[JOINTS_STREAM].channels[quantity].values.copy()
+    return with_values(recording, **{quantity: change(values)})
 
 
 def late(position: np.ndarray) -> np.ndarray:
@@ -53,14 +51,6 @@ def stamped(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) ->
     stream = recording.streams[JOINTS_STREAM]
     time = change(stream.time.copy())
     return replace(recording, streams={JOINTS_STREAM: replace(stream, time=time, host_time=time)})
-
-
-def cut(recording: Recording, kept: np.ndarray) -> Recording:
-    """Some of the samples."""
-    stream = recording.streams[JOINTS_STREAM]
-    channels = {name: replace(channel, values=channel.values[kept]) for name, channel in stream.channels.items()}
-    stream = replace(stream, time=stream.time[kept], host_time=stream.host_time[kept], channels=channels)
-    return replace(recording, streams={JOINTS_STREAM: stream})
 
 
 class Bench:

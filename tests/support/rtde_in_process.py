@@ -8,6 +8,7 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import recorded_session
@@ -216,7 +217,7 @@ def own_program(connect: Connect, clock: SimulatedClock, host: str, rate: float)
 
 
 class PipeEnd:
-    """One end of a pipe between threads of a simulated clock."""
+    """One end of a pipe between threads of a simulated clock; has what is used of a `Connection`."""
 
     def __init__(self, clock: SimulatedClock) -> None:
         self.other: PipeEnd = self
@@ -276,7 +277,8 @@ class MotionThread:
 
     def _run(self, factory: ControlFactory, host: str, rate: float) -> None:
         try:
-            status = 0 if obey(self._far_end, factory, host, rate, lambda: None, self._clock) else 1
+            end: Any = self._far_end
+            status = 0 if obey(end, factory, host, rate, lambda: None, self._clock) else 1
         except SystemExit as left:
             status = int(str(left.code))
         self._far_end.close()
@@ -308,7 +310,8 @@ class Motions:
         self._sockets: list[socket.socket] = []
 
     def take_control(self, host: str, rate: float, timeout: float) -> MotionProcess:
-        return MotionProcess(host, rate, timeout, self._control, self._start)
+        start: Any = self._start  # a thread in place of a process
+        return MotionProcess(host, rate, timeout, self._control, start)
 
     def kill(self) -> None:
         """Kill the motion process, as the operating system would."""

@@ -20,6 +20,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
 
@@ -47,11 +48,9 @@ class Arm:
     def found(self, seed: int, gain: dict[int, float] | None = None, shift: float = 0.0) -> Identification:
         """Identified with some motor signals scaled, and with d of the third joint off."""
         recording = self.recorded(seed)
-        stream = recording.streams[JOINTS_STREAM]
-        current = stream.channels["current"]
         scale = np.array([(gain or {}).get(joint, 1.0) for joint in range(3)])
-        channels = dict(stream.channels) | {"current": replace(current, values=current.values * scale)}
-        recording = replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+        current = recording.streams[JOINTS_STREAM].channels["current"].values
+        recording = with_values(recording, current=current * scale)
         robot = self.robot_file.robot
         rows = list(robot.model.mdh or ())
         rows[2] = rows[2].model_copy(update={"d": rows[2].d + shift})

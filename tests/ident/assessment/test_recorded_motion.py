@@ -18,6 +18,7 @@ from ident.model.dynamic_model import build_model
 from ident.regression.observation_matrix import reduce_segments
 from ident.signals.pipeline import prepare
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 
 @pytest.fixture(scope="module")
@@ -25,19 +26,12 @@ def recording(three_joint) -> Recording:
     return simulate_recording(three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=1), 12.0, seed=1)
 
 
-def with_values(recording: Recording, quantity: str, values: np.ndarray) -> Recording:
-    stream = recording.streams[JOINTS_STREAM]
-    channel = replace(stream.channels[quantity], values=values)
-    streams = {JOINTS_STREAM: replace(stream, channels={**stream.channels, quantity: channel})}
-    return replace(recording, streams=streams)
-
-
 def test_torque_that_is_no_number_leaves_the_motion(recording, three_joint):
     (quantity,) = set(recording.streams[JOINTS_STREAM].channels) & {"torque", "current"}
     spoilt = recording.streams[JOINTS_STREAM].channels[quantity].values.copy()
     spoilt[5, 1] = np.nan
     whole = recorded_motion(recording, three_joint)
-    motion = recorded_motion(with_values(recording, quantity, spoilt), three_joint)
+    motion = recorded_motion(with_values(recording, **{quantity: spoilt}), three_joint)
     assert whole.measured is not None
     assert motion.measured is None
     assert not np.any(motion.prepared.segments[0].torque)
@@ -52,7 +46,7 @@ def test_nothing_to_analyse_is_refused_with_the_reason(recording, three_joint):
     position = recording.streams[JOINTS_STREAM].channels["position"].values
     short = simulate_recording(three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=1), 0.02, seed=1)
     for without, robot, reason in (
-        (with_values(recording, "position", np.zeros_like(position)), three_joint, "nothing moves"),
+        (with_values(recording, position=np.zeros_like(position)), three_joint, "nothing moves"),
         (short, three_joint, "samples are too few"),
         (recording, load_robot("ur5e"), "has no column for joint"),
         (replace(recording, streams={}), three_joint, "has no stream"),
@@ -66,7 +60,7 @@ def test_a_recording_is_prepared_and_reduced_once(recording, three_joint, monkey
     if late:  # by 8 ms, which the search finds and uses
         (quantity,) = set(recording.streams[JOINTS_STREAM].channels) & {"torque", "current"}
         values = recording.streams[JOINTS_STREAM].channels[quantity].values
-        recording = with_values(recording, quantity, np.roll(values, 4, axis=0))
+        recording = with_values(recording, **{quantity: np.roll(values, 4, axis=0)})
     calls = []
 
     def counted(name, function):

@@ -19,6 +19,7 @@ from ident.checks.page.page import JSON_FILE, MOST_COLUMNS, MOST_GAPS, PAGE_FILE
 from ident.checks.recording_check import info_object, recording_info
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_rows, with_values
 
 
 def values(packed: Mapping[str, str]) -> np.ndarray[Any, np.dtype[np.float32]]:
@@ -101,13 +102,11 @@ def test_headline_checks_and_events_are_those_of_the_terminal(run: Recording):
 
 def test_a_recording_without_samples_or_motion_has_a_page(run: Recording):
     joints = run.streams["joints"]
-    none = {name: replace(one, values=one.values[:0]) for name, one in joints.channels.items()}
-    empty = replace(run, streams={"joints": Stream("joints", joints.time[:0], joints.time[:0], none)})
+    empty = replace(run, streams={"joints": with_rows(run, slice(0)).streams["joints"]})
     page = Page(render_page(recording_info(empty, empty.robot()), "empty.h5"))
     assert page.figures == {}
     assert "holds no samples" in page.words
-    still = {name: replace(one, values=np.zeros_like(one.values)) for name, one in joints.channels.items()}
-    resting = replace(run, streams={"joints": replace(joints, channels=still)})
+    resting = with_values(run, **{name: np.zeros_like(one.values) for name, one in joints.channels.items()})
     assert "spectra-plot" not in Page(render_page(recording_info(resting, resting.robot()), "still.h5")).figures
 
 

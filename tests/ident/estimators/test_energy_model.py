@@ -43,6 +43,7 @@ from ident.regression.least_squares import excited_columns, ordinary_least_squar
 from ident.signals.filters import butterworth, no_filter
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_rows
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
@@ -333,11 +334,8 @@ def test_luck_is_told_from_a_better_fit():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_gap_and_a_rest_are_no_trouble(three_joint, method):
     recording = recorded(three_joint, 3, 20.0)
-    stream = recording.streams[JOINTS_STREAM]
-    kept = (stream.time < 8.0) | (stream.time > 9.0)
-    channels = {name: replace(channel, values=channel.values[kept]) for name, channel in stream.channels.items()}
-    stream = replace(stream, time=stream.time[kept], host_time=stream.host_time[kept], channels=channels)
-    recording = replace(recording, streams={JOINTS_STREAM: stream})
+    time = recording.streams[JOINTS_STREAM].time
+    recording = with_rows(recording, (time < 8.0) | (time > 9.0))
     choices = IdentifyChoices(method=method, search_delay=False, preprocess=PreprocessChoices(torque_cutoff=5.0))
     found = identify([recording], [], choices)
     assert len(found.runs[0].prepared.segments) == 2

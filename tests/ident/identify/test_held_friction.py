@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from ident.result.models.load_model import load_model
 from ident.tasks.identification import identify
 from ident.tasks.validation import validate
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
@@ -84,12 +84,9 @@ def test_storage_and_validation_agree(held, tmp_path):
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)])
 def test_a_torque_of_the_wrong_sign_is_found_whatever_friction_is_held(folder, factors):
     run = exciting(1, 30.0, 31.0)
-    stream = run.streams["joints"]
-    channels = {
-        name: replace(channel, values=channel.values * factors) if name in ("torque", "current") else channel
-        for name, channel in stream.channels.items()
-    }
-    wrong = replace(run, streams={"joints": replace(stream, channels=channels)})
+    channels = run.streams["joints"].channels
+    signals = channels.keys() & {"torque", "current"}
+    wrong = with_values(run, **{name: channels[name].values * factors for name in signals})
     checks = identify(wrong, friction_from=folder, delay=0.0).verdict.checks
     names = [check.name for check in checks if check.name in ("torque-sign", "sign-or-column", "joint-sign")]
     assert bool(names) == (-1.0 in factors), checks

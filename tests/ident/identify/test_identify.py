@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from check_bench import cut
 
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot, parse_robot
@@ -28,6 +27,7 @@ from ident.regression.velocity_reversals import STICKING_SHARE
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_rows, with_values
 
 STATED = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoices(friction="coulomb-viscous"))
 """The terms that the arm has, and no search: a third of the time of an identification without its checks."""
@@ -347,7 +347,7 @@ def test_gaps_make_segments_and_do_no_harm(recorded, three_joint):
     holes = np.ones(len(time), dtype=bool)
     for start in (7.0, 16.3, 25.1):
         holes[(time > start) & (time < start + 0.7)] = False
-    broken = cut(whole, holes)
+    broken = with_rows(whole, holes)
     # A shorter stretch blurs the motion's band: with cut-offs of their own the two could not be compared.
     choices = replace(STATED, preprocess=PreprocessChoices(position_cutoff=20.0, torque_cutoff=10.0))
     found, reference = identify([broken], [], choices), identify([whole], [], choices)
@@ -447,12 +447,11 @@ def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
     clean = recorded(20.0)
     assert not warned(identify([clean], [], replace(STATED, reversals=0.0)))
     stream = clean.streams[JOINTS_STREAM]
-    current = stream.channels["current"]
+    current = stream.channels["current"].values
     speed = np.gradient(stream.channels["position"].values, stream.time, axis=0)
     slow = np.abs(speed) < 0.1 * np.sqrt(np.mean(speed**2, axis=0))
-    stuck = current.values - np.where(slow, 0.3 * np.abs(current.values).mean(axis=0) * np.sign(speed), 0.0)
-    channels = dict(stream.channels) | {"current": replace(current, values=stuck)}
-    sticking = replace(clean, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    stuck = current - np.where(slow, 0.3 * np.abs(current).mean(axis=0) * np.sign(speed), 0.0)
+    sticking = with_values(clean, current=stuck)
     (told,) = warned(identify([sticking], [], replace(STATED, reversals=0.0)))
     assert "Fs" in told
     assert f"--reversals {STICKING_SHARE:g}" in told

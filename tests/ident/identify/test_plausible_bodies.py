@@ -30,6 +30,7 @@ from ident.result.models.model import Model
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.new_robot import new_robot_file
 from sim_drivers.synthetic.measurement import simulate
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("mistakes_not_sought", "stated_friction")
 
@@ -70,10 +71,7 @@ def masses(identification: Identification) -> np.ndarray:
 
 
 def scaled(of: Recording, factor: float) -> Recording:
-    stream = of.streams[JOINTS_STREAM]
-    torque = stream.channels["torque"]
-    channels = dict(stream.channels) | {"torque": replace(torque, values=factor * torque.values)}
-    return replace(of, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(of, torque=factor * of.streams[JOINTS_STREAM].channels["torque"].values)
 
 
 @pytest.mark.parametrize(("seed", "light"), ARMS)

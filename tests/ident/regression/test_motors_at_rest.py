@@ -19,6 +19,7 @@ from ident.signals.joint_signals import read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
@@ -34,12 +35,8 @@ def single_joint_run(three_joint, moving: int, seed: int):
         motion.sine[joint] = motion.cosine[joint] = 0.0
     motion.offset[:] += np.random.default_rng(seed).uniform(-1.0, 1.0, 3) * (np.arange(3) != moving)
     recording = simulate_recording(three_joint, motion, DURATION, seed)
-    stream = recording.streams[JOINTS_STREAM]
-    current = stream.channels["current"]
-    gains = np.array([10.0, -8.0, 4.0])
-    carried = np.where(np.arange(3) == moving, 0.0, STATIC) / gains
-    channels = {**stream.channels, "current": replace(current, values=current.values + carried)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    carried = np.where(np.arange(3) == moving, 0.0, STATIC) / np.array([10.0, -8.0, 4.0])
+    return with_values(recording, current=recording.streams[JOINTS_STREAM].channels["current"].values + carried)
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from ident.servo.result import ServoParameter
 from ident.servo.simulators.actuator_law import left_out, shaped_commands
 from ident.servo.simulators.mjcf import MISSING, played_paths, servo_mjcf
 from ident.servo.terms import INDEX
+from studies.synthetic.data_mistakes import with_rows, with_values
 
 WEIGHTED = ("shoulder_lift", "elbow_flex", "wrist_flex")
 WEIGHTLESS = ("shoulder_pan", "gripper")
@@ -52,16 +53,6 @@ def folder(model, tmp_path_factory) -> Path:
     return place
 
 
-def changed(run: Recording, **columns: np.ndarray) -> Recording:
-    """A recording with other values of some quantities."""
-    stream = run.streams[JOINTS_STREAM]
-    channels = {
-        name: dataclasses.replace(channel, values=columns.get(name, channel.values))
-        for name, channel in stream.channels.items()
-    }
-    return dataclasses.replace(run, streams={JOINTS_STREAM: dataclasses.replace(stream, channels=channels)})
-
-
 def test_a_held_out_motion_is_rolled_out_to_two_encoder_steps(model):
     shown = model.result.validation
     assert shown.held_out
@@ -76,13 +67,9 @@ def test_a_held_out_motion_is_rolled_out_to_two_encoder_steps(model):
 
 
 def test_data_of_the_identification_do_not_count_twice_nor_as_held_out(model, training, other):
-    stream = training.streams[JOINTS_STREAM]
-    channel = stream.channels["position"]
-    single = changed(training, position=channel.values.astype(np.float32).astype(np.float64))
-    for copied in (
-        single,
-        dataclasses.replace(training, streams={**training.streams, JOINTS_STREAM: _first(stream, 500)}),
-    ):
+    position = training.streams[JOINTS_STREAM].channels["position"].values
+    single = with_values(training, position=position.astype(np.float32).astype(np.float64))
+    for copied in (single, with_rows(training, slice(500))):
         assert not model.validate(copied).result.validation.held_out
         with pytest.raises(dynid.UsageError, match="would count twice"):
             dynid.identify_servo([training, other, copied])
@@ -246,19 +233,19 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
     cut = dataclasses.replace(rest[1], channels={"target_position": dataclasses.replace(rest[0], values=command[:600])})
     bare = dataclasses.replace(stream, channels={"position": stream.channels["position"]})
     mistakes = {
-        "late by 0.3 s": (changed(other, target_position=np.roll(command, 15, axis=0)), "the clocks differ"),
-        "no commands": (changed(other, target_position=np.roll(position, -1, axis=0)), "are the measured positions"),
-        "wrapped": (changed(other, position=wrapped), "full turn"),
-        "order": (changed(other, target_position=command[:, [0, 2, 1, 3, 4, 5]]), "commands of others"),
-        "frozen": (changed(other, position=stuck), "position of elbow_flex never"),
-        "frozen halfway": (changed(other, position=stopped), "shoulder_lift does not change from"),
-        "degrees": (changed(other, target_position=np.degrees(command)), "degrees"),
-        "sign": (changed(other, target_position=against), "against"),
+        "late by 0.3 s": (with_values(other, target_position=np.roll(command, 15, axis=0)), "the clocks differ"),
+        "measured ones": (with_values(other, target_position=np.roll(position, -1, axis=0)), "are the measured"),
+        "wrapped": (with_values(other, position=wrapped), "full turn"),
+        "order": (with_values(other, target_position=command[:, [0, 2, 1, 3, 4, 5]]), "commands of others"),
+        "frozen": (with_values(other, position=stuck), "position of elbow_flex never"),
+        "frozen halfway": (with_values(other, position=stopped), "shoulder_lift does not change from"),
+        "degrees": (with_values(other, target_position=np.degrees(command)), "degrees"),
+        "sign": (with_values(other, target_position=against), "against"),
         "shorter commands": (
             dataclasses.replace(other, streams={JOINTS_STREAM: bare, COMMANDS_STREAM: cut}),
             "commands end 2.98 s before",
         ),
-        "short": (changed(dataclasses.replace(other, streams={JOINTS_STREAM: _first(stream, 100)})), "needs 3 s"),
+        "short": (with_rows(other, slice(100)), "needs 3 s"),
     }
     for name, (run, words) in mistakes.items():
         path = tmp_path / f"{name}.h5"
@@ -311,15 +298,7 @@ def test_positions_that_rest_jump_or_repeat_are_doubts_of_a_verdict(other):
     repeated[1::2] = repeated[:-1:2][: len(repeated[1::2])]
     assert not _doubts([other], other.robot())
     for changes, words in ((stopped, "shoulder_lift rests"), (jumped, "wrist_flex jumps"), (repeated, "repeat")):
-        assert any(words in text for text in _doubts([changed(other, position=changes)], other.robot())), words
-
-
-def _first(stream: Stream, count: int) -> Stream:
-    """The first samples of a stream."""
-    kept = {
-        name: dataclasses.replace(channel, values=channel.values[:count]) for name, channel in stream.channels.items()
-    }
-    return dataclasses.replace(stream, time=stream.time[:count], host_time=stream.host_time[:count], channels=kept)
+        assert any(words in text for text in _doubts([with_values(other, position=changes)], other.robot())), words
 
 
 def test_a_torque_method_names_the_servo_method_and_the_other_way_round(other, tmp_path, run_dynid):

@@ -19,6 +19,7 @@ from ident.signals.joint_signals import read_joint_signals
 from ident.signals.pipeline import PreprocessChoices, prepare_with_rest
 from ident.signals.segments import MOTION_BEGINS, MOTION_ENDS, played_window
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
@@ -70,13 +71,8 @@ def test_joints_that_all_move_are_cut_too(approached):
     stream = approached.streams[JOINTS_STREAM]
     outside = (stream.time < 100.0 + APPROACH) | (stream.time >= 128.0)
     (signal,) = set(stream.channels) & {"current", "torque", "voltage"}
-    channel = stream.channels[signal]
-    disturbed = replace(channel, values=channel.values + 50.0 * outside[:, None])
-    stream = replace(stream, channels={**stream.channels, signal: disturbed})
-    found, expected = (
-        identify([run], [], IdentifyChoices(search_delay=False))
-        for run in (replace(approached, streams={JOINTS_STREAM: stream}), approached)
-    )
+    disturbed = with_values(approached, **{signal: stream.channels[signal].values + 50.0 * outside[:, None]})
+    found, expected = (identify([run], [], IdentifyChoices(search_delay=False)) for run in (disturbed, approached))
     assert np.array_equal(found.solution.parameters, expected.solution.parameters)
     assert found.validation.relative_error == expected.validation.relative_error
 

@@ -21,7 +21,6 @@ from check_bench import (
     bursts,
     changed,
     coupled,
-    cut,
     exchanged,
     exchanged_with_velocity,
     glitches,
@@ -56,6 +55,7 @@ from studies.synthetic.data_mistakes import (
     jittering_position,
     repeated_rows,
     stuck_encoder,
+    with_rows,
     with_velocity,
 )
 
@@ -180,7 +180,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "warning", "import", "sort: 3 samples"),))),
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "info", "import", "time converted"),))),
     ),
-    "samples-lost": (lambda b: b.names(cut(b.recorded(), np.r_[0:1000, 1100:6000])), lambda b: b.clean_names()),
+    "samples-lost": (lambda b: b.names(with_rows(b.recorded(), np.r_[0:1000, 1100:6000])), lambda b: b.clean_names()),
     "repeated-stamps": (
         lambda b: b.names(stamped(b.recorded(), lambda t: np.r_[t[:1000], t[999], t[1001:]])),
         lambda b: b.clean_names(),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
+from studies.synthetic.data_mistakes import with_values
 
 
 def contacts(recording: Recording, share: float = 0.05) -> Recording:
@@ -20,8 +20,7 @@ def contacts(recording: Recording, share: float = 0.05) -> Recording:
     for _ in range(int(share * len(values) / 10)):
         start, joint = int(generator.integers(len(values) - 10)), int(generator.integers(values.shape[1]))
         values[start : start + 10, joint] += generator.uniform(0.3, 1.0) * size[joint] * generator.choice([-1.0, 1.0])
-    channels = stream.channels | {"current": replace(stream.channels["current"], values=values)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(recording, current=values)
 
 
 @pytest.fixture(scope="session")

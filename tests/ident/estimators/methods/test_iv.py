@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -19,6 +17,7 @@ from ident.signals.options import PreprocessChoices
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.synthetic.controlled_run import record_plant
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
@@ -33,14 +32,7 @@ def tracked(three_joint) -> Recording:
     plant = Plant(three_joint, PlantSettings(step=2.5e-3), seed=1, position=motion.evaluate(np.zeros(1))[0][:, 0])
     recording = record_plant(three_joint, plant, motion, 200.0)
     position = recording.streams[JOINTS_STREAM].channels["position"].values
-    return changed(recording, position=position + 2e-4 * np.random.default_rng(1).standard_normal(position.shape))
-
-
-def changed(recording: Recording, **values: np.ndarray) -> Recording:
-    """The recording with other values of some quantities."""
-    stream = recording.streams[JOINTS_STREAM]
-    channels = {name: replace(stream.channels[name], values=rows) for name, rows in values.items()}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels={**stream.channels, **channels})})
+    return with_values(recording, position=position + 2e-4 * np.random.default_rng(1).standard_normal(position.shape))
 
 
 def target(recording: Recording) -> np.ndarray:
@@ -79,21 +71,21 @@ def test_targets_that_do_not_follow_the_motion_are_weak_instruments(tracked, kin
         "another joint's": real[:, ::-1],
         "half a second late": np.vstack([np.repeat(real[:1], 100, axis=0), real[:-100]]),
     }
-    weak = changed(tracked, target_position=others[kind])
+    weak = with_values(tracked, target_position=others[kind])
     with pytest.raises(IdentificationError, match="weak instruments"):
         identified(weak, "iv:instruments=target")
 
 
 def test_auto_says_why_nothing_can_be_an_instrument(tracked):
     with pytest.raises(IdentificationError, match=r"does not repeat itself .* target positions make weak instruments"):
-        identified(changed(tracked, target_position=np.zeros_like(target(tracked))), "iv")
+        identified(with_values(tracked, target_position=np.zeros_like(target(tracked))), "iv")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_a_value_that_is_no_target_hinders_no_other_method(tracked, value):
     broken = target(tracked).copy()
     broken[1000, 1] = value
-    hostile = changed(tracked, target_position=broken)
+    hostile = with_values(tracked, target_position=broken)
     with pytest.raises(IdentificationError, match="no target positions"):
         identified(hostile, "iv:instruments=target")
     plain = identified(tracked, "wls").solution.parameters
@@ -101,7 +93,7 @@ def test_a_value_that_is_no_target_hinders_no_other_method(tracked, value):
 
 
 def test_positions_copied_as_targets_are_no_instruments(tracked):
-    copied = changed(tracked, target_position=tracked.streams[JOINTS_STREAM].channels["position"].values)
+    copied = with_values(tracked, target_position=tracked.streams[JOINTS_STREAM].channels["position"].values)
     with pytest.raises(IdentificationError, match="no target positions"):
         identified(copied, "iv:instruments=target")
 

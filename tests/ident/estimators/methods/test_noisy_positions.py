@@ -21,6 +21,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.signals.options import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
@@ -39,11 +40,8 @@ def recorded(text: str, seed: int, std: float, period: float = 4.0, seconds: flo
     robot_file = arm(text)
     motion = random_fourier_motion(build_model(robot_file), period, seed=1, candidates=5)
     recording = simulate_recording(robot_file, motion, seconds, seed)
-    stream = recording.streams[JOINTS_STREAM]
-    position = stream.channels["position"]
-    noise = std * np.random.default_rng(seed).standard_normal(position.values.shape)
-    channels = {**stream.channels, "position": replace(position, values=position.values + noise)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    position = recording.streams[JOINTS_STREAM].channels["position"].values
+    return with_values(recording, position=position + std * np.random.default_rng(seed).standard_normal(position.shape))
 
 
 @functools.cache

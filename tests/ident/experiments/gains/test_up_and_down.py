@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +29,7 @@ from ident.signals.prepared import Segment
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from studies.synthetic.altered_arms import with_gains
+from studies.synthetic.data_mistakes import with_values
 
 LOAD = KnownLoad(2.0, (0.08, 0.03, 0.05), (0.004, 0.0, 0.0, 0.004, 0.0, 0.003))
 HIDDEN = {"j1": 1.1, "j2": 0.9, "j3": 1.05}
@@ -63,9 +63,7 @@ def rubbed(arm: RobotFile, recording: Recording, motion: PointToPoint, seed: int
     number = np.searchsorted(np.cumsum(motion.durations + motion.dwell), stream.time)
     more = np.where(velocity == 0.0, coulomb * held[np.minimum(number, len(held) - 1)], more)
     gains = np.array([arm.robot.drive(name).gain for name in arm.robot.joint_names])
-    channel = stream.channels["current"]
-    channels = stream.channels | {"current": replace(channel, values=channel.values + (more / gains[:, None]).T)}
-    return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
+    return with_values(recording, current=stream.channels["current"].values + (more / gains[:, None]).T)
 
 
 def runs(robot_file: RobotFile, motion: PointToPoint, seed: int = 0, rate: float = 50.0) -> tuple[Recording, Recording]:

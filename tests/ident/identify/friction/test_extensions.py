@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -23,6 +21,7 @@ from ident.result.models.model import Model
 from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 
@@ -45,10 +44,8 @@ def recordings(three_joint):
         position, velocity, _ = motion.evaluate(stream.time - stream.time[0])
         rate = (len(stream.time) - 1) / (stream.time[-1] - stream.time[0])
         change = dry.torque_change(TRAVELS, position, velocity, rate)
-        current = stream.channels["current"]
-        changed = replace(current, values=current.values + change.T / gains)
-        stream = replace(stream, channels={**stream.channels, "current": changed})
-        made.append((recording, replace(recording, streams={**recording.streams, JOINTS_STREAM: stream})))
+        current = stream.channels["current"].values
+        made.append((recording, with_values(recording, current=current + change.T / gains)))
     return made
 
 

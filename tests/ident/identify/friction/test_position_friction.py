@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from friction_experiment_arm import TWO_BODIES
@@ -22,6 +20,7 @@ from ident.result.models.model import Model
 from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.data_mistakes import with_values
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 
@@ -48,9 +47,7 @@ def recorded(seed: int, motion: int, size: float = 0.0) -> Recording:
         [np.cos(3.0 * position[:, 0]), np.sign(np.gradient(position[:, 1])) * np.sin(position[:, 1])]
     )
     gains = [robot_file.robot.drive(joint).gain for joint in robot_file.robot.joint_names]
-    current = replace(stream.channels["current"], values=stream.channels["current"].values + added / gains)
-    joints = replace(stream, channels={**stream.channels, "current": current})
-    return replace(run, streams={**run.streams, JOINTS_STREAM: joints})
+    return with_values(run, current=stream.channels["current"].values + added / gains)
 
 
 def chosen(found: Identification) -> list[tuple[str, str]]:
