@@ -25,7 +25,7 @@ WALK = (
     ("ident/regression/jackknife.py", "block_jackknife", "their covariance, as residuals are autocorrelated"),
     ("ident/identify/identify.py", "identify", "calls all of these in order; returns the `Identification`"),
     ("ident/identify/held_out.py", "held_out_run", "the delivered model on held-out data; `model_verdict` grades it"),
-    ("ident/identify/summary.py", "summarise", "returns the `Result`, which is result.json"),
+    ("ident/identify/summary.py", "Identified", "has the `Result`, which is result.json"),
 )  # fmt: skip
 """File, name in it, what it does: from a motor's current to the fit."""
 

@@ -158,7 +158,7 @@ class FrictionFit:
 
 @dataclass(frozen=True)
 class Identification:
-    """The samples, series and matrices of an identification, which no file holds; `summarise` gives its Result."""
+    """The samples, series and matrices of an identification, which no file holds: `Identified` has the result."""
 
     # recordings, held_out_recordings: as given; without the latter, parts of the former were held out
     recordings: tuple[Recording, ...]

@@ -33,6 +33,7 @@ from ident.identify.held_friction import hold_temperatures
 from ident.identify.held_out import HeldOutRun, ParameterSets, held_out_run
 from ident.identify.identification import ConsistentFit, Identification, IdentifyChoices, apply_model_choices
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
+from ident.identify.summary import Identified
 from ident.model.another_arm import check_arm
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
@@ -56,7 +57,7 @@ def identify(  # noqa: PLR0915 — the steps, in their order
     choices: IdentifyChoices,
     robot_file: RobotFile | None = None,
     progress: Progress = lambda step: None,
-) -> Identification:
+) -> Identified:
     """Identify an arm from its recordings and validate the model on held-out data.
 
     Args:
@@ -219,7 +220,8 @@ def identify(  # noqa: PLR0915 — the steps, in their order
     progress("simulation")
     runs_held_out = held_out_runs(identification)
     checks += [check for run in runs_held_out for check in run.errors.checks]
-    return replace(identification, checks=tuple(dict.fromkeys(checks)), held_out=runs_held_out)
+    checks = list(dict.fromkeys(checks))
+    return Identified(**vars(identification) | {"checks": tuple(checks), "held_out": runs_held_out})
 
 
 def _weights(reduction: Reduction, solution: LeastSquares) -> FloatArray:

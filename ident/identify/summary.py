@@ -1,10 +1,11 @@
-"""Summarise an identification as the Result that is written to disk."""
+"""The Result of an identification, which is written to disk."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
@@ -56,8 +57,16 @@ EPOCH_OF_2000 = 946684800.0
 """[s] since 1970. Stamps from here to now are absolute times; others count from a start of their own."""
 
 
-def summarise(identification: Identification) -> Result:
-    """The Result of an identification."""
+class Identified(Identification):
+    """An identification, and its result: the part of it that a file holds."""
+
+    @cached_property
+    def result(self) -> Result:
+        """All that result.json holds."""
+        return _result(self)
+
+
+def _result(identification: Identification) -> Result:
     robot_file, robot = identification.robot_file, identification.robot_file.robot
     model, base, solution = identification.model, identification.base, identification.solution
     corrected, pruned = identification.corrected, identification.pruned

@@ -18,7 +18,6 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.predict import predict_recording
 from ident.identify.revalidate import result_figures
-from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.options import ExperimentChoices
 from ident.report import RecordedRuns, ReportData, recorded_runs, render_report
@@ -212,7 +211,7 @@ def identify(options: IdentifyOptions) -> IdentificationResult:
     if limits is not None and recordings:
         check_joints(limits, (robot_file or recordings[0].robot()).robot.joint_names)
     identification = identify_recordings(recordings, held_out, choices, robot_file, options.progress)
-    result = summarise(identification)
+    result = identification.result
     if limits is not None:
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification)

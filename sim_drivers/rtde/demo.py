@@ -23,15 +23,14 @@ from ident.excite.design import design
 from ident.excite.path import trajectory_of
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
+from ident.identify.summary import Identified
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
-from ident.result.schema import Result
 from ident.tasks.excitation import search_state
 from sim_drivers.served import DemoOptions
 from sim_drivers.simulated_arm import Record, Recorded, over_rtde
@@ -65,8 +64,7 @@ FILES = ("identification.yaml", "validation.yaml", RESULT_FILE, REPORT_FILE)
 class Demo:
     """Outcome of the demonstration."""
 
-    identification: Identification  # of the two recordings
-    result: Result  # as written
+    identification: Identified  # of the two recordings
     truth: FloatArray  # (b,) true base parameters
     folder: Path  # where everything was written
     lost: int  # samples that the two recordings lost
@@ -135,11 +133,10 @@ def run_demo(
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
     identification = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)
-    result = summarise(identification)
     write_result_folder(
         folder,
         ReportData(
-            result,
+            identification.result,
             identification.fit_series,
             identification.validation_series,
             TruthTable(names=base.names, values=truth),
@@ -147,7 +144,7 @@ def run_demo(
         ),
         overwrite=True,  # what exists was asked for before anything was computed
     )
-    return Demo(identification, result, truth, folder, lost, samples)
+    return Demo(identification, truth, folder, lost, samples)
 
 
 def _recorded(
@@ -181,10 +178,10 @@ def print_demo(demo: Demo, as_json: bool, *, verbose: bool = False) -> None:
     if as_json:
         print_json(
             {
-                "robot": demo.result.robot,
+                "robot": demo.identification.result.robot,
                 "report": demo.folder / REPORT_FILE,
                 "result": demo.folder / RESULT_FILE,
-                "validation_relative_error": demo.result.validation.relative_error if demo.result.validation else None,
+                "validation_relative_error": demo.identification.validation.relative_error,
                 "inside_95_percent": demo.inside,
                 "samples": demo.samples,
                 "lost": demo.lost,
@@ -195,13 +192,13 @@ def print_demo(demo: Demo, as_json: bool, *, verbose: bool = False) -> None:
             }
         )
         return
-    print(f"{demo.result.robot}, simulated: {demo.samples} samples over RTDE, {demo.lost} lost")
+    print(f"{demo.identification.result.robot}, simulated: {demo.samples} samples over RTDE, {demo.lost} lost")
     print(f"{demo.inside} of {len(names)} true values lie within their 95 % interval")
     report = demo.folder / REPORT_FILE
-    print_result(demo.result, report, verbose=verbose)
+    print_result(demo.identification.result, report, verbose=verbose)
     if verbose:
         print_table(
-            f"\n{demo.result.robot}, simulated and recorded over RTDE: truth and estimate",
+            f"\n{demo.identification.result.robot}, simulated and recorded over RTDE: truth and estimate",
             ("base parameter", "truth", "estimate", "error", "σ", "error/σ", "unit"),
             [
                 (
@@ -214,7 +211,7 @@ def print_demo(demo: Demo, as_json: bool, *, verbose: bool = False) -> None:
                     stored.unit,
                 )
                 for name, true, value, std, stored in zip(
-                    names, demo.truth, estimates, deviations, demo.result.base_parameters, strict=True
+                    names, demo.truth, estimates, deviations, demo.identification.result.base_parameters, strict=True
                 )
             ],
         )

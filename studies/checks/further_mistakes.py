@@ -33,7 +33,6 @@ from drivers.core.errors import DynidError
 from ident.assessment.instants import Instants, instants
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.simulation import open_loop, tracking
@@ -204,7 +203,7 @@ def said(case: Callable[[], Made], choices: IdentifyChoices, truth: Instants | N
     try:
         run, believed = case()
         found = identify([run], [], choices, believed)
-        verdict = summarise(found).verdict
+        verdict = found.result.verdict
     except DynidError as refusal:
         return f"refused: {refusal}"
     named = [

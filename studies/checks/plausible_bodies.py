@@ -33,7 +33,6 @@ from dynid import simulate
 from ident.estimators.feasible.problem import friction_rates
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.base_parameters import random_states
 from ident.result.models.model import Model
 from studies.checks.random_mistakes import slide
@@ -50,7 +49,7 @@ OF_BODIES = ("implausible-mass", "implausible-link", "implausible-centre", "know
 def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     """One row of the table."""
     found = identify([recording], [], choices)
-    result = summarise(found)
+    result = found.result
     if found.consistent is None or result.consistent is None:
         return f"| {name} | none found | | | | | | | | |"
     model, consistent = Model(result), found.consistent.parameters

@@ -19,7 +19,6 @@ import numpy as np
 
 from ident.identify.identification import Identification, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from studies.models.consistency import public
 
 ARMS = ("tx40", "ur10", "panda")
@@ -41,7 +40,7 @@ def main() -> None:
         model = replace(choices.model, friction=None)
         found = identify([recording], [], replace(choices, model=model))
         plain = replace(choices, model=ModelChoices(friction="coulomb-viscous"), presliding=False)
-        result = summarise(found)
+        result = found.result
         simulated = result.delivered.runs[0]
         soft = "–" if simulated.simulation is None else simulated.simulation.position_rmse
         soft = soft if isinstance(soft, str) else " ".join(f"{1e3 * error:.2g}" for error in soft)

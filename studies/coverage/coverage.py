@@ -25,9 +25,9 @@ import yaml
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
-from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
+from ident.identify.summary import Identified
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
@@ -75,7 +75,7 @@ def another_arm(name: str, seed: int) -> RobotFile:
     return parse_robot(yaml.safe_dump(robot), where=name, folder=None, urdf_text=known.urdf_text)
 
 
-def identified(arm: RobotFile, method: str, play: Play, seed: int) -> Identification:
+def identified(arm: RobotFile, method: str, play: Play, seed: int) -> Identified:
     """The arm's model with the friction that it has, from the first part of the motion."""
     choices = IdentifyChoices(method, model=ModelChoices(friction="coulomb-viscous"))
     if play == "points":
@@ -91,7 +91,7 @@ def deviations(robot: str, method: str, play: Play, seed: int) -> tuple[list[Flo
     """Errors over standard deviations, an array for each of `COLUMNS`, and the ratio `wide`."""
     arm = another_arm(robot, seed)
     found = identified(arm, method, play, seed)
-    result = summarise(found)
+    result = found.result
     truth = dict(zip(found.base.names, found.base.projection @ truth_vector(arm), strict=True))
     table = [
         (entry.value, entry.std, entry.classical_std, truth[entry.name])

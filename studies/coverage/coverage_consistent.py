@@ -29,7 +29,6 @@ import numpy as np
 from drivers.core.arrays import BoolArray, FloatArray
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.problem import build_problem
-from ident.identify.summary import summarise
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -66,7 +65,7 @@ def deviations(robot: str, seed: int) -> tuple[list[FloatArray], FloatArray]:
     torque = model_torque(found.model, None, truth, samples[0].T, samples[1].T, samples[2].T).T
     if not found.model.transmission.direct:  # `Model.torque` is at the joints
         torque = torque @ found.model.transmission.coupling
-    model = Model(summarise(found), "consistent")
+    model = Model(found.result, "consistent")
     return [
         (found.solution.parameters[active] - base_truth) / std,
         error,

@@ -25,7 +25,6 @@ from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.sufficiency import motion_sufficiency
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -52,7 +51,7 @@ def earlier_result(robot_file: RobotFile, recording: Recording) -> PriorKnowledg
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
         result = identify([recording], [], CHOICES, robot_file=robot_file)
-        path.write_text(result_json(summarise(result)))
+        path.write_text(result_json(result.result))
         return find_prior(robot_file, path)
 
 

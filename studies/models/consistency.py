@@ -27,7 +27,6 @@ from ident.estimators.feasible.prior import link_priors
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.signals.options import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -71,7 +70,7 @@ def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     consistent = identified.consistent
     if consistent is None:
         return f"| {name} | {100 * identified.validation.relative_error:.2f} | none found | | | | |"
-    p_value = summarise(identified).consistent.p_value  # type: ignore[union-attr]
+    p_value = identified.result.consistent.p_value  # type: ignore[union-attr]
     links = ", ".join(identified.model.link_names[link] for link in consistent.parameters.boundary) or "none"
     return (
         f"| {name} | {100 * identified.validation.relative_error:.2f} | "

@@ -20,7 +20,6 @@ import numpy as np
 
 from drivers.core.errors import DataError
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.monitor.monitor import Monitor, earned_thresholds, joint_samples
 from ident.result.models.model import Model
 from studies.models.consistency import public
@@ -43,7 +42,7 @@ def main() -> None:
     for name, bandwidth in ARMS.items():
         recording, choices = public(data, name)
         found = identify([recording], [], replace(choices, model=replace(choices.model, friction=None)))
-        model = Model(summarise(found))
+        model = Model(found.result)
         samples = joint_samples(model, recording)
         cut = int(np.searchsorted(samples.time, samples.time[0] + LEARNT * (samples.time[-1] - samples.time[0])))
         known, rest = rows(samples, slice(0, cut)), rows(samples, slice(cut, None))

@@ -28,7 +28,6 @@ from drivers.core.arrays import FloatArray
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -84,7 +83,7 @@ def recorded(robot_file: RobotFile, seed: int, moves: int, moving: tuple[str, ..
 def result_of(recording: Recording, torques_of: tuple[str, ...] = (), method: str = "wls") -> Result:
     experiment = ExperimentChoices(torques_of=torques_of)
     choices = IdentifyChoices(method, experiment=experiment, search_delay=False, reversals=0.0)
-    return summarise(identify([recording], [], choices))
+    return identify([recording], [], choices).result
 
 
 def figures(result: Result) -> tuple[list[float], list[float]]:

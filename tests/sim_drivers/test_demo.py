@@ -61,7 +61,7 @@ def test_files_are_there_and_can_be_read(demo):
         "identification.yaml", "identification.h5", "validation.yaml", "validation.h5", "result.json", "report.html",
     }  # fmt: skip
     result = read_result(demo.folder / "result.json")
-    assert result == demo.result
+    assert result == demo.identification.result
     assert [use.file for use in result.recordings] == ["identification.h5", "validation.h5"]
     recordings = [read_recording(demo.folder / f"{name}.h5") for name in ("identification", "validation")]
     for recording in recordings:
@@ -88,7 +88,7 @@ def test_truth_is_projected_and_lies_inside(demo):
     assert demo.inside >= 0.9 * len(demo.truth)
     assert np.all(error < 4.0 * demo.identification.std)
     assert demo.identification.validation.relative_error < 0.03
-    assert demo.result.verdict.purposes["torque_prediction"].grade == "good"
+    assert demo.identification.result.verdict.purposes["torque_prediction"].grade == "good"
     # A note may say that errors are larger near standstill, where the plant's bristles are no function of velocity.
     assert "overfitting" not in {check.name for check in demo.identification.checks}
 
@@ -119,7 +119,7 @@ def test_table_shows_truth_beside_estimate(demo, capsys):
     for name in demo.identification.base.names:
         assert name in text
     assert f"{demo.inside} of {len(demo.truth)} true values" in text
-    assert str(demo.result.verdict) in text
+    assert str(demo.identification.result.verdict) in text
     assert "report.html" in text
 
 

@@ -20,7 +20,6 @@ from ident.checks.recording_check import recording_info
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression import least_squares
 from ident.regression.options import ExperimentChoices
@@ -160,7 +159,7 @@ class Bench:
     def result(self, recording: Recording, **experiment: tuple[str, ...]) -> Result:
         """What `identify` writes."""
         choices = IdentifyChoices(search_delay=False, presliding=False, experiment=ExperimentChoices(**experiment))
-        return summarise(identify([recording], [], choices))
+        return identify([recording], [], choices).result
 
     def merged(self, *results: Result, held_out: Recording | None = None) -> Names:
         """Checks of a merge."""

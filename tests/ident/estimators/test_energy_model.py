@@ -32,7 +32,6 @@ from ident.estimators.methods.power import PowerSamples
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.energy import EnergyKernel
@@ -200,7 +199,7 @@ def test_the_truth_is_within_the_error_bars_of_the_essential_model(three_joint, 
     held, by_submodel = [], []
     for _, found in repeated(method):
         truth = dict(zip(found.base.names, truth_of(three_joint), strict=True))
-        for entry in summarise(found).base_parameters:
+        for entry in found.result.base_parameters:
             if entry.essential_value is None:
                 continue
             column = found.base.names.index(entry.name)
@@ -272,7 +271,7 @@ def test_a_repeated_motion_is_no_new_evidence(three_joint):
 def test_result_is_complete_and_validates_again(three_joint, method, tmp_path):
     recording = recorded(three_joint, 1)
     found = identify([recording], [], IdentifyChoices(method=method, search_delay=False))
-    result = summarise(found)
+    result = found.result
     assert result.method == method
     assert len(result.residuals.joint_std) == len(result.residuals.autocorrelation) == 3
     assert result.residuals.joint_std == pytest.approx(result.fit.rmse)

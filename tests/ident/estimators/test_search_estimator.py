@@ -13,7 +13,6 @@ from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -51,7 +50,7 @@ def test_a_long_search_in_a_small_box_is_least_squares(found, method: str, exact
 
 def test_what_the_search_found_is_in_the_result(found, recording) -> None:
     identification = found("wls-pso:generations=3")
-    result = summarise(identification)
+    result = identification.result
     (step,) = [step for step in result.preprocessing if step.name == "search"]
     optimum = identification.estimation.optimum
     distance = np.abs(identification.solution.parameters - optimum.parameters) / optimum.std
@@ -69,7 +68,7 @@ def test_what_the_search_found_is_in_the_result(found, recording) -> None:
 
 
 def test_frogs_report_what_is_identifiable(found, recording) -> None:
-    result = summarise(found("sfla:random=coordinate:generations=100"))
+    result = found("sfla:random=coordinate:generations=100").result
     assert result.fit.relative_error < 0.2
     (step,) = [step for step in result.preprocessing if step.name == "physical parameters"]
     # Link 1 turns about a vertical axis: its mass only adds to the inertia.
@@ -82,7 +81,7 @@ def test_frogs_report_what_is_identifiable(found, recording) -> None:
 def test_penalised_frogs_end_at_links_that_can_exist(found, recording) -> None:
     least = {}
     for option in ("", ":feasible=true"):
-        result = summarise(found(f"sfla:random=coordinate:generations=100{option}"))
+        result = found(f"sfla:random=coordinate:generations=100{option}").result
         (step,) = [step for step in result.preprocessing if step.name == "physical parameters"]
         spreads = []
         for link in (2, 3):

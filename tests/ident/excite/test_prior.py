@@ -12,7 +12,6 @@ from drivers.core.errors import ResultFileError, UsageError
 from ident.excite.prior import find_prior, recording_rate
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -28,7 +27,7 @@ def identification(three_joint) -> tuple[Identification, Result]:
     motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
     recordings = [simulate_recording(three_joint, motion, 20.0, seed=4)]
     found = identify(recordings, [], IdentifyChoices())
-    return found, summarise(found)
+    return found, found.result
 
 
 def written(folder: Path, result: Result) -> Path:
@@ -96,7 +95,7 @@ def test_other_base_parameters_are_refused(three_joint, tmp_path, identification
     motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
     recordings = [simulate_recording(three_joint, motion, 12.0, seed=4)]
     choices = IdentifyChoices(model=ModelChoices(friction="viscous"))
-    plain = summarise(identify(recordings, [], choices))
+    plain = identify(recordings, [], choices).result
     with pytest.raises(UsageError, match="other base parameters"):
         find_prior(three_joint, written(tmp_path, plain))
 

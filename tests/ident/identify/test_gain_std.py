@@ -8,7 +8,6 @@ from each import each
 
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.systematic_errors import gain_covariances, gain_deviations
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -35,13 +34,13 @@ def test_it_is_what_other_gains_do(three_joint, recording):
         changed = identify([recording], [], choices, other)
         moves.append(share * (changed.solution.parameters - found.solution.parameters) / step)
     expected = np.maximum(np.linalg.norm(moves, axis=0), np.abs(np.sum(moves, axis=0)))
-    result = summarise(found)
+    result = found.result
     stated = np.array([parameter.gain_std for parameter in result.base_parameters])
     assert stated == pytest.approx(expected, rel=0.02, abs=1e-3 * expected.max())
 
 
 def test_a_method_without_equations_of_joints_has_none(recording):
-    result = summarise(identify([recording], [], IdentifyChoices("energy", search_delay=False)))
+    result = identify([recording], [], IdentifyChoices("energy", search_delay=False)).result
     assert {parameter.gain_std for parameter in result.base_parameters} == {None}
 
 

@@ -17,7 +17,6 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import apply_model_choices, identify
 from ident.identify.preparation import prepare_data
 from ident.identify.revalidate import stored_choices
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
@@ -244,7 +243,7 @@ def test_a_joint_that_is_later_than_the_others_gets_its_own_delay_in_the_result_
     first, second, third = found.choices.preprocess.joint_delays
     assert second == pytest.approx(0.020, abs=1.5e-3)
     assert max(abs(first), abs(third)) < 3e-3
-    result = Result.model_validate_json(summarise(found).model_dump_json())
+    result = Result.model_validate_json(found.result.model_dump_json())
     assert [joint.used for joint in result.delay.joints] == [first, second, third]
     assert result.options["joint_delays"] == [first, second, third]
     assert stored_choices(result).joint_delays == (first, second, third)

@@ -14,7 +14,6 @@ from drivers.core.errors import DataError, UsageError
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -45,7 +44,7 @@ def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joi
     found = identify([recording], [], said)
     assert found.experiment.locked == (1,)
     assert found.validation.relative_error < 0.05
-    result = summarise(found)
+    result = found.result
     (step,) = [step for step in result.preprocessing if step.name == "experiment"]
     assert "rest tolerance of 0.005" in step.text
     assert revalidate(result, recording).full.rmse[1] is None

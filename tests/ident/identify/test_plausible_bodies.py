@@ -22,7 +22,6 @@ from ident.estimators.feasible.problem import COASTING, friction_rates
 from ident.identify.checks.stated_values import stated_value_checks
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.base_parameters import random_states
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
@@ -94,7 +93,7 @@ def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -
     rates = friction_rates(identification.model, range(len(parameters.values)), parameters.values)
     assert np.all(inertia.min(axis=0) > 0.5 * COASTING * rates)
     assert np.all((armature_vector(identification.model, parameters.armatures) > 0) == light)
-    result = summarise(identification)
+    result = identification.result
     run = result.delivered.runs[0]
     assert run.simulation is not None
     assert max(run.simulation.position_rmse) < 0.05
@@ -107,7 +106,7 @@ def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -
 def test_an_explicit_integrator_with_steps_of_1_ms_is_stable(seed: int, light: bool) -> None:
     """Semi-implicit Euler, friction explicit: released at rest, no joint gains more speed than gravity gives it."""
     identification = found(seed, light)
-    model = Model(summarise(identification))
+    model = Model(identification.result)
     q, dq = np.zeros(identification.model.dof), np.zeros(identification.model.dof)
     energy = []
     for _ in range(300):
@@ -126,7 +125,7 @@ def test_the_motor_behind_a_sensor_moves_in_simulation_and_in_no_torque() -> Non
         drive["armature"] = 0.7
     given = parse_robot(yaml.safe_dump(content), where="given", folder=None)
     stated = identify([recording(0, True)], [], QUICK, given)
-    assumed, fixed = (Model(summarise(model)) for model in (identification, stated))
+    assumed, fixed = (Model(model.result) for model in (identification, stated))
     assert np.all(fixed.armature == 0.7)
     assert {one.source for one in fixed.result.consistent.armature} == {"robot file"}  # type: ignore[union-attr]
     assert {one.source for one in assumed.result.consistent.armature} == {"assumed"}  # type: ignore[union-attr]
@@ -210,7 +209,7 @@ def test_what_the_file_states_is_plausible_or_named() -> None:
     assert all(f"prior.links.j1.{key} =" in large for key in ("mass", "com"))
     assert all(f"known.{key} =" in small for key in ("total_mass", "M1", "M4"))
     heavy = identify([recording(1, False)], [], QUICK, stating(M1=1e3 * true["M1"]))
-    result = summarise(heavy)
+    result = heavy.result
     assert "the robot file states: known.M1 =" in result.verdict.headline
     assert result.verdict.purposes["simulation"].grade != "good"
 

@@ -12,7 +12,6 @@ from drivers.core.errors import DataError, ResultFileError
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.result.result_file import read_result, result_json
 from ident.signals.pipeline import PreprocessChoices
@@ -49,7 +48,7 @@ CHOICES = {
 @pytest.mark.parametrize("name", CHOICES)
 def test_a_stored_result_repeats_the_validation(recordings, name, tmp_path):
     found = identify(recordings[:1], recordings[1:], CHOICES[name])
-    (tmp_path / "result.json").write_text(result_json(summarise(found)))
+    (tmp_path / "result.json").write_text(result_json(found.result))
     again = revalidate(read_result(tmp_path / "result.json"), recordings[1])
     assert again.full.samples == found.validation.samples
     assert again.full.relative_error == pytest.approx(found.validation.relative_error, rel=1e-9)
@@ -61,7 +60,7 @@ def test_a_stored_result_repeats_the_validation(recordings, name, tmp_path):
 @pytest.fixture(scope="module")
 def result(recordings):
     found = identify(recordings[:1], recordings[1:], IdentifyChoices())
-    return summarise(found)
+    return found.result
 
 
 def tampered(result, change):

@@ -9,7 +9,6 @@ import yaml
 from daq.robot.loader import RobotFile, parse_robot
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.repeatability import RunDeviations, repeatability
@@ -76,7 +75,7 @@ def test_an_identification_of_several_runs_states_the_repeatability():
     ]
     choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
     found = identify(runs, [held_out], choices)
-    result = summarise(found)
+    result = found.result
     truth = found.base.projection @ truth_vector(nominal, found.model)
     for place, parameter in enumerate(result.base_parameters):
         assert parameter.value is not None

@@ -18,7 +18,6 @@ from daq.recording.writer import write_recording
 from drivers.core.errors import ResultFileError
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.result.models.model import Model
 from ident.result.result_file import file_sha256, read_result, result_json
@@ -38,7 +37,7 @@ def identified(three_joint, tmp_path_factory):
     write_recording(path, recording)
     recording = read_recording(path)
     found = identify([recording], [], IdentifyChoices())
-    return recording, found, summarise(found)
+    return recording, found, found.result
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +69,7 @@ def test_free_exponents_leave_the_torque_as_certain_as_it_is(three_joint):
     for term in ("", "+power"):
         model = ModelChoices(friction=f"coulomb-viscous{term}")
         found = identify([recording], [], IdentifyChoices(search_delay=False, presliding=False, model=model))
-        result = summarise(found)
+        result = found.result
         for kind in ("full", "consistent"):
             deviations[term, kind] = np.mean(Model(result, kind).torque_std(q, 0.3 + 0.0 * q, 0.0 * q), axis=0)
     for kind in ("full", "consistent"):
@@ -95,7 +94,7 @@ def test_gains_that_are_not_used_are_not_listed(identified):
     _, found, _ = identified
     signals = replace(found.runs[0].signals, gains_used=("j1", "j3"))
     without = replace(found, runs=tuple(replace(run, signals=signals, torques=(0, 1)) for run in found.runs))
-    assert [gain.joint for gain in summarise(without).drive_gains] == ["j1"]
+    assert [gain.joint for gain in without.result.drive_gains] == ["j1"]
 
 
 def test_numbers_are_those_of_the_identification(identified, content):
@@ -153,7 +152,7 @@ def test_events_of_the_recording_are_handed_on(identified):
 
     recording, found, _ = identified
     noted = replace(recording, events=(Event(1.0, "warning", "importer", "two samples were repaired"),))
-    use = summarise(replace(found, recordings=(noted,))).recordings[0]
+    use = replace(found, recordings=(noted,)).result.recordings[0]
     assert use.events == ["warning: two samples were repaired"]
 
 

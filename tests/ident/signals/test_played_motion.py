@@ -12,7 +12,6 @@ from drivers.core.errors import DataError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.options import ExperimentChoices
 from ident.signals.joint_signals import read_joint_signals
@@ -61,7 +60,7 @@ def test_the_motion_is_taken_out_of_its_approach(approached):
     assert found.validation.relative_error < 0.05
     (window,) = [step for step in found.runs[0].prepared.steps if step.name == "window"]
     assert "without the approach" in window.text
-    again = revalidate(summarise(found), approached)
+    again = revalidate(found.result, approached)
     assert again.full.rmse[1] is None
     assert again.full.relative_error < 0.05
 

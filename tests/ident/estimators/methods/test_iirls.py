@@ -16,7 +16,6 @@ from ident.estimators.robust.sensitivities import shape_columns
 from ident.estimators.robust.weight_functions import HUBER_THRESHOLD, WeightFunction
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel, regressor
 from ident.model.true_parameters import true_model, truth_vector
@@ -105,7 +104,7 @@ def test_in_turn_comes_to_the_same(full, in_turn):
 
 
 def test_every_loop_is_in_the_result_and_on_the_page(faulty, full):
-    result = summarise(full)
+    result = full.result
     assert result.convergence is not None
     names = [loop.name for loop in result.convergence.loops]
     assert names[0].startswith("covariance")

@@ -13,7 +13,6 @@ from ident.estimators.robust.weight_functions import weight_function
 from ident.estimators.robust.whitened_equations import CovarianceSums, Whitening, shrunk
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 from ident.model.true_parameters import truth_vector
@@ -94,7 +93,7 @@ def test_faults_cost_little(three_joint, robust, weighted, clean, method):
 
 def test_the_result_counts_what_was_rejected_and_the_page_shows_it(robust, weighted, faulty):
     found = robust["irls"]
-    result = summarise(found)
+    result = found.result
     assert (result.method, result.method_options) == ("irls", {"weights": "hard", "consistent": False})
     assert result.convergence is not None
     weights = np.concatenate(found.estimation.weights, axis=1)
@@ -105,7 +104,7 @@ def test_the_result_counts_what_was_rejected_and_the_page_shows_it(robust, weigh
     assert 'id="convergence"' in page
     assert '"name":"rejected"' in page.replace(" ", "")
     ordinary = weighted["faulty"]
-    page = render_report(ReportData(summarise(ordinary), ordinary.fit_series, ()))
+    page = render_report(ReportData(ordinary.result, ordinary.fit_series, ()))
     assert 'id="convergence"' not in page
 
 

@@ -15,7 +15,6 @@ from ident.estimators.method_choice import chosen_method
 from ident.estimators.methods.iv import repeated_segment
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -65,7 +64,7 @@ def test_little_noise_leaves_every_method_near_the_truth(method, three_joint):
     assert all(loop.settled and loop.values for loop in found.estimation.loops)
     assert found.consistent is not None
     assert len(found.pruned.solution.active) > 10
-    result = summarise(found)
+    result = found.result
     assert result.method == method.split(":")[0]
 
 

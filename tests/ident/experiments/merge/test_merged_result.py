@@ -17,7 +17,6 @@ from ident.experiments.merge.merged_result import merge_results
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -61,7 +60,7 @@ def result_of(recording, *, locked=(), torques_of=(), robot_file=None, model=STA
         presliding=False,
         model=model,
     )
-    return summarise(identify([recording], [], choices, robot_file=robot_file))
+    return identify([recording], [], choices, robot_file=robot_file).result
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.presliding import dry_friction
@@ -57,7 +56,7 @@ def found(recordings):
 
 @pytest.fixture(scope="module")
 def result(found):
-    return Result.model_validate_json(result_json(summarise(found)))
+    return Result.model_validate_json(result_json(found.result))
 
 
 def test_true_travels_are_found_and_lower_the_held_out_error(found):

@@ -19,7 +19,6 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording
 from ident.identify.revalidate import revalidate
-from ident.identify.summary import summarise
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -69,7 +68,7 @@ def full() -> tuple[RobotFile, Identification, Result]:
     robot_file = arm(**FULL)
     runs = [recorded(robot_file, 1)], [recorded(robot_file, 2)]
     found = identify(*runs, IdentifyChoices(search_delay=False, reversals=0.0))
-    return robot_file, found, summarise(found)
+    return robot_file, found, found.result
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import arm_functions
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import summarise
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import true_model
 from ident.result.models.model import Model
@@ -58,7 +57,7 @@ def chosen(found: Identification) -> list[tuple[str, str]]:
 def rippled() -> tuple[Identification, Result]:
     runs = [recorded(seed, seed, 0.8) for seed in (1, 2, 3)], [recorded(4, 4, 0.8)]
     found = identify(*runs, CHOICES)
-    return found, summarise(found)
+    return found, found.result
 
 
 def test_three_motions_tell_what_repeats_over_a_turn(rippled):
