@@ -164,7 +164,7 @@ def _frozen(time: FloatArray, values: FloatArray, position: FloatArray) -> tuple
     others = np.delete(lengths, slice(start, stop + 1))
     moved = float(np.ptp(position[start : stop + 1])) > FROZEN_MOVES * float(np.ptp(position))
     clips = values[start] in (values.min(), values.max()) and np.sum(values == values[start]) > stop - start + 1
-    lasts = time[stop] - time[start] >= FROZEN and stop - start >= FROZEN_ROWS * np.median(others)
+    lasts = len(others) > 0 and time[stop] - time[start] >= FROZEN and stop - start >= FROZEN_ROWS * np.median(others)
     return (start, stop) if moved and lasts and not clips else None
 
 

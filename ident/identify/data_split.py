@@ -236,7 +236,7 @@ def check_motion(runs: Sequence[RunWindow], names: Sequence[str]) -> None:
     Raises:
         DataError: such joints, by name.
     """
-    for run in runs:
+    for run in (run for run in runs if len(run.time) > 1):
         change, period = np.median(np.abs(np.diff(run.position, axis=0)), axis=0), np.median(np.diff(run.time))
         moves = np.ptp(run.position, axis=0) > MOVES
         jumbled = [names[n] for n in np.flatnonzero(moves & (change > JUMBLED * run.position.std(axis=0))).tolist()]
