@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import select
-import threading
 from collections import deque
 from collections.abc import Callable, Container
 
@@ -13,7 +12,7 @@ import can
 
 from drivers.base import Level, Notice, drained
 from drivers.can.bus import EXTENDED, Frame, error_frame_words, is_bus_off, is_unreadable, reason
-from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import SYSTEM_CLOCK, BackgroundWork, Clock
 from drivers.core.errors import ConnectionLostError
 from drivers.core.text import counted
 
@@ -70,7 +69,7 @@ def _clock_offset(clock: Clock) -> float:
     return best[1]
 
 
-class Receiver:
+class Receiver(BackgroundWork):
     """Stores what comes on a bus, in a thread of its own, until it is taken.
 
     All frames are stored where `stored` is None, those of CAN FD where `fd`. `other` is called with every other frame
@@ -88,6 +87,7 @@ class Receiver:
         *,
         fd: bool = False,
     ) -> None:
+        super().__init__(f"can {bus.channel_info}", clock)
         self.overflow = 0
         """Frames dropped because `take` stayed away."""
         self.latest: dict[int, Frame] = {}
@@ -97,7 +97,6 @@ class Receiver:
         self._other = other
         self._own = own
         self._fd = fd
-        self._clock = clock
         self._stamps = ArrivalClock(bus, clock)
         self._ring: deque[Frame] = deque()
         self._arrival = clock.condition()
@@ -106,15 +105,8 @@ class Receiver:
         """Everything that arrived before this time [s, host's monotonic clock] has been stored or passed on."""
         self.failure: ConnectionLostError | None = None
         """Why nothing comes any more; None while all is well."""
-        self._ending = clock.event()
         self._troubles: dict[str, tuple[int, float]] = {}
         self._notices: deque[Notice] = deque()
-        self._thread: threading.Thread | None = None
-
-    def start(self) -> None:
-        """Begin to receive."""
-        self._thread = self._clock.thread(self._receive, f"can {self._bus.channel_info}")
-        self._thread.start()
 
     def take(self, timeout: float = 0.0, at_least: int = 1) -> list[Frame]:
         """Stored frames since the last call, waiting at most `timeout` [s] until there are `at_least` so many.
@@ -147,14 +139,7 @@ class Receiver:
         """Put into the notices what was counted and not reported yet, since it came so often."""
         self._report_troubles(math.inf)
 
-    def stop(self) -> None:
-        """End the thread; safe at any time."""
-        self._ending.set()
-        thread, self._thread = self._thread, None
-        if thread is not None and thread is not threading.current_thread():
-            thread.join()
-
-    def _receive(self) -> None:
+    def _run(self) -> None:
         faulty = 0
         while not self._ending.is_set():
             asked = self._clock.now()

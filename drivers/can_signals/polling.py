@@ -7,7 +7,7 @@ from collections import deque
 from drivers.can.bus import Sender
 from drivers.can_signals.rows.assembly import Rows
 from drivers.can_signals.settings import Poll
-from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.core.clock import SYSTEM_CLOCK, BackgroundWork, Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError
 
 ANSWER_LIMIT = 0.1
@@ -48,7 +48,7 @@ class PollAnswers:
         return max(0, lost)
 
 
-class Poller:
+class Poller(BackgroundWork):
     """Polls until it is stopped.
 
     Attributes:
@@ -58,25 +58,13 @@ class Poller:
     """
 
     def __init__(self, sender: Sender, poll: Poll, clock: Clock = SYSTEM_CLOCK) -> None:
+        super().__init__("can poll", clock)
         self.failure: ConnectionLostError | None = None
         self._sender = sender
-        self._clock = clock
         self._frames = [(frame.identifier, frame.data) for frame in poll.frames]
         self.period = poll.period
         self.latest = clock.now()
         self._sent: deque[float] = deque(maxlen=_KEPT)
-        self._ending = clock.event()
-        self._thread = clock.thread(self._run, "can poll")
-
-    def start(self) -> None:
-        """Begin."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End; safe to call twice."""
-        self._ending.set()
-        if self._thread.is_alive():
-            self._thread.join()
 
     def take_until(self, moment: float) -> int:
         """Return how many polls were sent before a time [s, host's monotonic clock] and not taken yet."""

@@ -11,6 +11,7 @@ import select
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -132,6 +133,31 @@ class Clock:
 
 SYSTEM_CLOCK = Clock()
 """The only one outside of tests."""
+
+
+class BackgroundWork(ABC):
+    """Work in a thread of its own, from `start` to `stop`; `name` is the thread's."""
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self._name, self._clock, self._ending = name, clock, clock.event()
+        self._thread: threading.Thread | None = None
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Work until `_ending` is set."""
+
+    def start(self) -> None:
+        """Begin."""
+        self._ending.clear()
+        self._thread = self._clock.thread(self._run, self._name)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; safe at any time."""
+        self._ending.set()
+        thread, self._thread = self._thread, None
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()
 
 
 def set_timer_slack() -> None:

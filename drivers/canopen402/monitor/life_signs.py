@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from drivers.can.bus import REMOTE, Frame, Sender
 from drivers.canopen402.protocol.objects import HEARTBEAT, STATE_OPERATIONAL, TPDO_BASES
 from drivers.clock_rates import COMPARING_LIMIT, ClockRates
-from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import SYSTEM_CLOCK, BackgroundWork, Clock
 from drivers.core.errors import ConnectionLostError
 
 _POLL = 0.01
@@ -47,7 +46,7 @@ class HeartbeatClocks:
         return self.wrong
 
 
-class LifeSigns:
+class LifeSigns(BackgroundWork):
     """A thread that sends one of some frames after the other, at an interval [s], as long as this process runs.
 
     `before` is called with the number of a frame and the time [s, host's monotonic clock] before it is sent.
@@ -61,22 +60,8 @@ class LifeSigns:
         before: Callable[[int, float], None] | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
+        super().__init__("life signs", clock)
         self._sender, self._frames, self._interval, self._before = sender, tuple(frames), interval, before
-        self._clock = clock
-        self._ending = clock.event()
-        self._thread: threading.Thread | None = None
-
-    def start(self) -> None:
-        """Begin, with the first frame at once."""
-        self._thread = self._clock.thread(self._run, "life signs")
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Send no more; safe at any time."""
-        self._ending.set()
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join()
 
     def _run(self) -> None:
         due, turn = self._clock.now(), 0

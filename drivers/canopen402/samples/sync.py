@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -13,7 +12,7 @@ from drivers.base import drained
 from drivers.can.bus import Sender
 from drivers.canopen402.protocol.objects import SYNC
 from drivers.core.arrays import FloatArray
-from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
+from drivers.core.clock import SYSTEM_CLOCK, BackgroundWork, Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError
 
 SILENT_PERIODS = 3
@@ -34,7 +33,7 @@ PATIENCE = 0.1
 _Time = TypeVar("_Time", float, FloatArray)
 
 
-class SyncProducer:
+class SyncProducer(BackgroundWork):
     """Sends SYNC number k at start + k/rate; no lateness accumulates.
 
     In motion no period is made up for. At rest, where this computer was late, SYNCs follow faster until they are on
@@ -61,6 +60,7 @@ class SyncProducer:
         clock: Clock = SYSTEM_CLOCK,
         at_rest: Callable[[], bool] = lambda: False,
     ) -> None:
+        super().__init__("SYNC", clock)
         self.skipped = 0
         """SYNCs that were not sent, since this computer was late or the adapter refused them."""
         self.count = 0
@@ -70,15 +70,12 @@ class SyncProducer:
         self._sender = sender
         self._rate = rate
         self._outputs = outputs
-        self._host_clock = clock
         self._at_rest = at_rest
         self._begin = math.nan
         self._sent: deque[tuple[int, float]] = deque()
-        self._ending = clock.event()
         self.failure: ConnectionLostError | None = None
         """Why no SYNC is sent any more; None while all is well."""
         self._refused_since: float | None = None
-        self._thread: threading.Thread | None = None
 
     @property
     def running(self) -> bool:
@@ -93,19 +90,10 @@ class SyncProducer:
     def start(self) -> None:
         """Begin to send."""
         if math.isnan(self._begin):
-            self._begin = self._host_clock.now()
+            self._begin = self._clock.now()
         self._sent.clear()
         self.failure = self._refused_since = None
-        self._ending.clear()
-        self._thread = self._host_clock.thread(self._run, "SYNC")
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Send no more; safe at any time."""
-        self._ending.set()
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join()
+        super().start()
 
     def take(self) -> list[tuple[int, float]]:
         """Slot and time [s, host's monotonic clock] of the SYNCs sent since the last call."""
@@ -116,7 +104,7 @@ class SyncProducer:
         slot = self._following()
         while not self._ending.is_set():
             due = self._begin + slot / self._rate
-            late = self._host_clock.sleep_until(due)
+            late = self._clock.sleep_until(due)
             if self._ending.is_set():
                 return
             resting = self._at_rest()
@@ -126,7 +114,7 @@ class SyncProducer:
                 slot = following
                 continue
             if resting:
-                self._host_clock.sleep_until(self.latest + SPACING / self._rate)
+                self._clock.sleep_until(self.latest + SPACING / self._rate)
             try:
                 self.latest = self._sender.send(SYNC, b"")
             except ConnectionLostError as error:
@@ -148,7 +136,7 @@ class SyncProducer:
             self._note_refusal(error)
 
     def _note_refusal(self, error: ConnectionLostError) -> None:
-        now = self._host_clock.now()
+        now = self._clock.now()
         self._refused_since = self._refused_since or now
         if now - self._refused_since > PATIENCE:
             self.failure = error
@@ -161,7 +149,7 @@ class SyncProducer:
         """
         with contextlib.suppress(ConnectionLostError):
             targets = self._outputs(self._begin + (slot - 1) / self._rate, slot - due)
-            if targets and self._begin + slot / self._rate - self._host_clock.now() < TARGET_ROOM / self._rate:
+            if targets and self._begin + slot / self._rate - self._clock.now() < TARGET_ROOM / self._rate:
                 slot = max(slot + 1, self._following())
                 targets = self._outputs(self._begin + (slot - 1) / self._rate, slot - due)
             self._sender.send_all(targets)
@@ -169,7 +157,7 @@ class SyncProducer:
 
     def _following(self, ago: float = 0.0) -> int:
         """The first slot that is still to come, or was `ago` [s]."""
-        return math.floor((self._host_clock.now() - ago - self._begin) * self._rate) + 1
+        return math.floor((self._clock.now() - ago - self._begin) * self._rate) + 1
 
 
 class KernelSync(SyncProducer):
@@ -205,7 +193,7 @@ class KernelSync(SyncProducer):
     def start(self) -> None:
         """Begin to send."""
         self._slot = self._unanswered = None
-        self.latest = self._host_clock.now()
+        self.latest = self._clock.now()
         super().start()
 
     def stop(self) -> None:
@@ -251,7 +239,7 @@ class KernelSync(SyncProducer):
                             hint="is another device on the bus, at this bit rate, and the bus terminated?",
                         )
                         return
-                elif self._host_clock.now() - moment < (1.0 - TARGET_ROOM) / self._rate:
+                elif self._clock.now() - moment < (1.0 - TARGET_ROOM) / self._rate:
                     self._send_outputs(moment)
                 if self.failure is not None:
                     return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from drivers.canopen402.protocol.objects import DriveObject
 from drivers.canopen402.protocol.sdo import RemoteDrive
 from drivers.canopen402.settings import TemperatureSource
 from drivers.core.arrays import FloatArray
-from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import SYSTEM_CLOCK, BackgroundWork, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 RATE = 5.0
@@ -33,38 +32,27 @@ class TemperatureReading:
     values: FloatArray  # (m,) [°C]; nan where a drive did not answer
 
 
-class TemperaturePoll:
+class TemperaturePoll(BackgroundWork):
     """Asks drives for their temperature in a thread of its own."""
 
     def __init__(
         self, drives: Sequence[RemoteDrive], sources: Sequence[TemperatureSource], clock: Clock = SYSTEM_CLOCK
     ) -> None:
+        super().__init__("temperatures", clock)
         self._drives = tuple(drives)
         self._sources = tuple(sources)
-        self._clock = clock
         self._readings: deque[TemperatureReading] = deque()
         self._notices: deque[Notice] = deque()
         self._reported: dict[str, float] = {}
-        self._ending = clock.event()
-        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Begin to ask."""
-        self._ending.clear()
         self._readings.clear()
-        self._thread = self._clock.thread(self._run, "temperatures")
-        self._thread.start()
+        super().start()
 
     def finish(self) -> None:
         """Ask no more, without waiting for an answer that is still to come; safe at any time."""
         self._ending.set()
-
-    def stop(self) -> None:
-        """Ask no more; safe at any time."""
-        self.finish()
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            thread.join()
 
     def take(self) -> list[TemperatureReading]:
         """Readings since the last call."""
