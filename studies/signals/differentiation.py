@@ -2,8 +2,7 @@
 
     python -m studies.signals.differentiation ../shared/data
 
-1. Gain of q, q̇ and q̈ and phase of q̇ of each way, at its cut-off of 20 Hz at 500 Hz, as measured on sinusoids; and of
-   the Kalman filter run forward only.
+1. Gain of q, q̇ and q̈ and phase of q̇ of each way, at its cut-off of 20 Hz at 500 Hz, as measured on sinusoids.
 2. Root mean square errors of q̇, q̈ and τ of the simulated ROCR6, whose true motion and torque are known (as figure 2 of
    its paper compares torques), with the encoder's resolution alone and with white noise on the positions.
 3. Held-out error, and the share of the 95 % intervals that hold the truth, of simulated arms, another motion held out.
@@ -16,7 +15,7 @@ from __future__ import annotations
 import os
 import sys
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -41,7 +40,7 @@ from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import Differentiation, PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.smoothing.five_point import five_point_cubic, passes_for
-from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_filter, kalman_smoother, likeliest_cutoff
+from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_smoother, likeliest_cutoff
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms
@@ -61,7 +60,7 @@ def responses() -> None:
     time = np.arange(round(20 * rate)) / rate
     inside = slice(round(5 * rate), -round(5 * rate))
     print("| way | f [Hz] | gain of q | of q̇ | of q̈ | phase of q̇ [°] |\n|---|---|---|---|---|---|")
-    for way in (*WAYS, "kalman, forward only"):
+    for way in WAYS:
         for frequency in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0):
             angular = 2 * np.pi * frequency
             position = np.sin(angular * time)
@@ -78,8 +77,6 @@ def _motion_of(position: FloatArray, rate: float, cutoff: float, way: str) -> Fl
     """(3, N) q, q̇, q̈ of one signal (N,)."""
     if way == "kalman":
         return kalman_smoother(position, rate, cutoff)[:3]
-    if way == "kalman, forward only":
-        return kalman_filter(position, rate, cutoff)[:3]
     if way == "savitzky-golay":
         smooth = savitzky_golay(position[None], rate, half_width_for(cutoff, rate, len(position)))
         return np.stack([rows[0] for rows in smooth])
@@ -149,23 +146,18 @@ def _cutoff_text(joint_cutoffs: Sequence[float] | None, cutoff: float) -> str:
 def _torque_ways(signals: JointSignals, band: float) -> dict[str, FloatArray]:
     """Torques (n, N) smoothed in each way."""
     rows, rate = signals.torque.T, 500.0
-    kalman: dict[str, Callable[[FloatArray, float], FloatArray]] = {
-        "kalman": lambda row, cutoff: kalman_smoother(row, rate, cutoff, WHITE_CURVATURE)[0],
-        "kalman, forward only": lambda row, cutoff: kalman_filter(row, rate, cutoff, WHITE_CURVATURE)[0],
-    }
     cutoffs = [likeliest_cutoff(row, rate, WHITE_CURVATURE, 2 * band) for row in rows]
     print("cut-offs of torque [Hz]:", ", ".join(f"{cutoff:.2f}" for cutoff in cutoffs))
-    smooth = {
+    smoothed = [kalman_smoother(row, rate, own, WHITE_CURVATURE)[0] for row, own in zip(rows, cutoffs, strict=True)]
+    return {
         "as measured": rows,
         f"butterworth {TORQUE_CUTOFF:g} Hz": butterworth(TORQUE_CUTOFF, rate).apply(rows),
         f"five-point, {passes_for(TORQUE_CUTOFF, rate)} passes": five_point_cubic(
             rows, passes_for(TORQUE_CUTOFF, rate)
         ),
         "savitzky-golay": savitzky_golay(rows, rate, half_width_for(TORQUE_CUTOFF, rate, rows.shape[1]))[0],
+        "kalman": np.stack(smoothed),
     }
-    for way, smoothed in kalman.items():
-        smooth[way] = np.stack([smoothed(row, cutoff) for row, cutoff in zip(rows, cutoffs, strict=True)])
-    return smooth
 
 
 def _rms(values: FloatArray) -> float:

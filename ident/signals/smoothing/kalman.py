@@ -7,8 +7,7 @@ forward and backward, the smoother is a zero-phase low-pass with
     gain(f) = 1 / (1 + (f / f_c)^(2m))        (2π·f_c)^(2m) = q / (r·T)
 
 at a sampling period T well below 1/f_c: for m = 4 (white snap, "constant jerk") that of the zero-phase Butterworth of
-order 4 with the cut-off f_c, but with derivatives that central differences do not attenuate. Run forward only, the
-filter lags.
+order 4 with the cut-off f_c, but with derivatives that central differences do not attenuate.
 
 A loop runs the filter until its gain is stationary, and the smoother over the same samples, which begin the record.
 The rest has constant gains, and therefore is a linear recursion in the eigenvectors of its matrix. For 200,000 samples
@@ -86,26 +85,17 @@ def stationary_filter(step: float, order: int) -> StationaryFilter:
     return StationaryFilter(transition, process, gain, innovation, smoother_gain)
 
 
-def kalman_filter(samples: FloatArray, rate: float, cutoff: float, order: int = WHITE_SNAP) -> FloatArray:
-    """The signal and its derivatives as the forward filter estimates them, from the past alone: it lags.
+def kalman_smoother(samples: FloatArray, rate: float, cutoff: float, order: int = WHITE_SNAP) -> FloatArray:
+    """The signal and its derivatives as the smoother estimates them, from the whole record: without lag.
 
     Args:
         samples: (N,) on a uniform grid.
         rate: [Hz].
-        cutoff: f_c [Hz], of the smoother.
+        cutoff: f_c [Hz].
         order: m of the model.
 
     Returns:
         (m, N) the signal, its first, its second derivative … [unit of the samples / s^k].
-    """
-    _, means, _ = _filtered(samples, rate, cutoff, order)
-    return _in_seconds(means, cutoff)
-
-
-def kalman_smoother(samples: FloatArray, rate: float, cutoff: float, order: int = WHITE_SNAP) -> FloatArray:
-    """The signal and its derivatives as the smoother estimates them, from the whole record: without lag.
-
-    Arguments and result as those of `kalman_filter`.
     """
     stationary, means, covariances = _filtered(samples, rate, cutoff, order)
     start = len(covariances)
@@ -120,7 +110,7 @@ def kalman_smoother(samples: FloatArray, rate: float, cutoff: float, order: int 
         predicted = transition @ covariances[index] @ transition.T + process
         gain = covariances[index] @ transition.T @ np.linalg.inv(predicted)
         means[:, index] += gain @ (means[:, index + 1] - transition @ means[:, index])
-    return _in_seconds(means, cutoff)
+    return np.asarray(means * (2.0 * math.pi * cutoff) ** np.arange(order)[:, None])  # by s, not by 1/2πf_c
 
 
 def innovations(samples: FloatArray, step: float, order: int) -> FloatArray:
@@ -181,11 +171,6 @@ def _recursion(matrix: FloatArray, inward: FloatArray, inputs: FloatArray, start
         # Of a conjugate pair one mode is computed; the other doubles the real part.
         states += (2.0 if poles[mode].imag > 0 else 1.0) * np.outer(vectors[:, mode], values).real
     return states
-
-
-def _in_seconds(means: FloatArray, cutoff: float) -> FloatArray:
-    """Derivatives with respect to the filter's own unit of time, 1/2πf_c, as derivatives with respect to seconds."""
-    return np.asarray(means * (2.0 * math.pi * cutoff) ** np.arange(len(means))[:, None])
 
 
 def cutoff_of_noise(density: float, variance: float, rate: float, order: int) -> float:
