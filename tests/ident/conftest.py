@@ -70,6 +70,12 @@ def three_joint() -> RobotFile:
 
 
 @pytest.fixture(scope="session")
+def noise_free() -> RobotFile:
+    """That arm with perfect sensors."""
+    return parse_robot(THREE_JOINT[: THREE_JOINT.index("  noise:")], where="noise-free", folder=None)
+
+
+@pytest.fixture(scope="session")
 def smooth_segment() -> Callable[..., Segment]:
     """Makes segments of a motion that never repeats, known exactly, with the torque of given parameters.
 

@@ -110,7 +110,8 @@ def servos(clock: SimulatedClock, wire: str = "feetech", **more: object) -> Iter
         keys = dict(file.robot.connections[wire].model_extra or {}) | {"url": line.path} | more
         settings = parse_settings(keys, file.robot.joint_names, None, wire)
         with patch.object(servo, "STEP", STEP_OF_THE_ARM):
-            server = SerialServoServer(file, settings, START, line_end=line, clock=clock)
+            end: Any = line  # has what is used of a `PseudoTerminal`
+            server = SerialServoServer(file, settings, START, line_end=end, clock=clock)
         with server:
             yield ServoBench(server, line, wire, keys, clock)
         assert server.failure is None

@@ -20,6 +20,11 @@ from ident.result.units import parameter_unit
 from ident.verdict.verdict import Verdict
 
 
+def truth_of(robot_file: RobotFile) -> FloatArray:
+    """True base parameters (b,) of a simulated arm."""
+    return base_parameters(build_model(robot_file)).projection @ truth_vector(robot_file)
+
+
 def true_result(
     robot_file: RobotFile, values: Mapping[str, float | None] | None = None, covariance: FloatArray | None = None
 ) -> Result:

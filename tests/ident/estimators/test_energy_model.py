@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from sampled_arm import sampled
+from true_results import truth_of
 
 from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import JOINTS_STREAM, Recording
@@ -50,12 +51,6 @@ METHODS = ("energy", "power")
 
 
 @pytest.fixture(scope="module")
-def noise_free(three_joint):
-    """The arm with perfect sensors."""
-    return parse_robot(three_joint.text[: three_joint.text.index("  noise:")], where="noise-free", folder=None)
-
-
-@pytest.fixture(scope="module")
 def perfect(noise_free) -> Recording:
     motion = random_fourier_motion(build_model(noise_free), 10.0, seed=1)
     return simulate_recording(noise_free, motion, 15.0, seed=1, rate=1000.0)
@@ -69,11 +64,6 @@ def recorded(robot_file, seed: int, seconds: float = 28.0) -> Recording:
 def motion_of(text: str, seed: int) -> FourierSeries:
     model = build_model(parse_robot(text, where="arm", folder=None))
     return random_fourier_motion(model, 20.0, seed)
-
-
-def truth_of(robot_file):
-    model = build_model(robot_file)
-    return base_parameters(model).projection @ truth_vector(robot_file)
 
 
 @pytest.fixture(scope="module")

@@ -7,17 +7,10 @@ import functools
 import pytest
 
 from daq.recording.recording import Recording
-from daq.robot.loader import parse_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
-
-
-@pytest.fixture(scope="module")
-def noise_free(three_joint):
-    """The arm with perfect sensors."""
-    return parse_robot(three_joint.text[: three_joint.text.index("  noise:")], where="noise-free", folder=None)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from true_results import truth_of
 
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot, parse_robot
@@ -20,7 +21,6 @@ from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
-from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
 from ident.regression.velocity_reversals import STICKING_SHARE
 from ident.result.schema import Result
@@ -31,11 +31,6 @@ from studies.synthetic.data_mistakes import with_rows, with_values
 STATED = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoices(friction="coulomb-viscous"))
 """The terms that the arm has, and no search: a third of the time of an identification without its checks."""
 alone = pytest.mark.usefixtures("estimate_alone")
-
-
-def truth_of(robot_file):
-    model = build_model(robot_file)
-    return base_parameters(model).projection @ truth_vector(robot_file)
 
 
 @alone

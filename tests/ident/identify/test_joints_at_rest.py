@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from each import each
+from true_results import truth_of
 
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot, parse_robot
@@ -26,11 +27,6 @@ STATED = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoice
 alone = pytest.mark.usefixtures("estimate_alone")
 SLIGHTLY = 3e-3
 """Share of a random motion's amplitude that is motion, but slower than what counts as such."""
-
-
-def truth_of(robot_file):
-    model = build_model(robot_file)
-    return base_parameters(model).projection @ truth_vector(robot_file)
 
 
 def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joint):

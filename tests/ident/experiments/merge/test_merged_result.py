@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from true_results import truth_of
 
 from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
@@ -19,7 +20,6 @@ from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.true_parameters import truth_vector
 from ident.regression.options import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
@@ -74,11 +74,6 @@ def results(recorded):
 @pytest.fixture(scope="module")
 def merged(results, recorded):
     return merge_results([("arm", results[0]), ("wrist", results[1])], recorded(3))
-
-
-def truth_of(robot_file):
-    model = build_model(robot_file)
-    return base_parameters(model).projection @ truth_vector(robot_file)
 
 
 def deviations(result, robot_file):
