@@ -193,7 +193,8 @@ def stored_model(result: Result) -> StoredModel:
     )
     experiments = experiments or (whole_arm(model),)
     base = experiment_base(model, experiments)
-    if {parameter.name for parameter in result.base_parameters} != set(base.names):
+    joints = [model.link_names[joint] for joint in base.joints]
+    if {(one.name, one.joint) for one in result.base_parameters} != set(zip(base.names, joints, strict=True)):
         raise ResultFileError("the base parameters do not belong to the robot file stored with them", hint=AGAIN)
     return StoredModel(robot_file, model, experiments, base)
 

@@ -53,9 +53,16 @@ def test_a_result_that_was_changed_is_refused_by_all_that_read_it(result, tmp_pa
         for read in readers:
             with pytest.raises(dynid.ResultFileError, match="was changed after dynid wrote it"):
                 read(tmp_path)
-    other = result.result.model_copy(update={"joints": result.result.joints[::-1]})
-    with pytest.raises(dynid.ResultFileError, match="are not those of the robot file"):
-        dynid.validate(dynid.IdentificationResult(other), run)
+    of_script = result.result
+    swapped = of_script.robot_file.replace(first, "@").replace(second, first).replace("@", second)
+    names = [{first: second, second: first}.get(name, name) for name in of_script.joints]
+    for changes, message in (
+        ({"joints": of_script.joints[::-1]}, "are not those of the robot file"),
+        ({"robot_file": swapped}, "are not those of the robot file"),
+        ({"robot_file": swapped, "joints": names}, "the base parameters do not belong to the robot file"),
+    ):
+        with pytest.raises(dynid.ResultFileError, match=message):
+            dynid.validate(dynid.IdentificationResult(of_script.model_copy(update=changes)), run)
 
 
 def test_parameters_that_a_result_lacks_are_refused_in_one_sentence(result, tmp_path):
