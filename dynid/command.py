@@ -32,6 +32,7 @@ from drivers.core.errors import (
     WorkError,
     out_of_memory,
 )
+from drivers.core.files import check_utf8
 from drivers.core.options import spoken_in_a_shell
 from drivers.core.terminal import drop_unwritten, open_standard_streams, show_visibly
 
@@ -167,6 +168,8 @@ def _status(as_json: bool) -> int:
         with warnings.catch_warnings(), outputs_of_a_command(), spoken_in_a_shell():
             warnings.simplefilter("always", DynidWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
+            for argument in sys.argv[1:]:
+                check_utf8(os.path.basename(argument), UsageError)
             status = build_app(*sys.argv[1:2])(prog_name="dynid", standalone_mode=False)
     except DynidError as error:
         report_error(error, as_json)

@@ -35,7 +35,7 @@ def recover_command(
     from daq.recording.recover import half_written, recover
 
     intended = intended_name(file)
-    target = out if out is not None else intended.with_name(f"{intended.stem}-recovered.h5")
+    target = out if out is not None else intended.parent / f"{intended.stem}-recovered.h5"
     source = half_written(file)
     if source == file:
         for other in unfinished_files(file):

@@ -72,15 +72,29 @@ def given_kind(given: object) -> str:
     return "None" if given is None else f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
 
 
+def check_utf8(given: str, refusal: type[InputError]) -> None:
+    """Check that a name or text can be written into a file: bytes that were not UTF-8 are halves of pairs in it.
+
+    Raises:
+        InputError: `refusal`, where it cannot.
+    """
+    try:
+        given.encode()
+    except UnicodeEncodeError as error:
+        raise refusal("holds bytes that are not UTF-8", where=given, hint="rename the file, or type it anew") from error
+
+
 def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> int:
     """Check that a file may be opened by its name; its size [B].
 
     `hint` is what to do where there is no such file.
 
     Raises:
-        InputError: `refusal`, where it is missing, no regular file (a folder, FIFO or device), or too large.
+        InputError: `refusal`, where it is missing, no regular file (a folder, FIFO or device), or too large, or its
+            name is not UTF-8.
     """
     where = str(path)
+    check_utf8(path.name, refusal)
     try:
         about = path.stat()
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -115,7 +129,10 @@ def open_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise refusal(f"is not a regular file, so it is not read as {kind.name}", where=str(path))
-        yield file
+        try:
+            yield file
+        except OSError as error:  # its disk fails
+            raise _unreadable(error, path, refusal) from error
 
 
 def read_bytes(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> bytes:
@@ -125,10 +142,7 @@ def read_bytes(path: Path, kind: InputKind, refusal: type[InputError], hint: str
         InputError: as `open_input`, or it cannot be read.
     """
     with open_input(path, kind, refusal, hint) as file:
-        try:
-            content = file.read(kind.largest + 1)  # a file may say it is empty and go on for ever, as those of /proc
-        except OSError as error:
-            raise _unreadable(error, path, refusal) from error
+        content = file.read(kind.largest + 1)  # a file may say it is empty and go on for ever, as those of /proc
     if len(content) > kind.largest:
         raise _too_large(kind, path, refusal)
     return content

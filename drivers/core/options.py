@@ -19,7 +19,7 @@ from functools import wraps
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, cast
 
-from drivers.core.blas import one_blas_thread
+from drivers.core.blas import numerical_settings
 from drivers.core.errors import ArgumentError, DynidError, UsageError
 from drivers.core.ranges import Range, check_option
 from drivers.core.text import did_you_mean
@@ -199,7 +199,7 @@ def keywords_of(
                     f"{function.__name__}(): {error}", hint=f"help(dynid.{function.__name__})"
                 ) from None
             try:
-                with one_blas_thread():
+                with numerical_settings():
                     return function(options(*args, **keywords))
             except DynidError as error:
                 if not _spoken_in_a_shell:

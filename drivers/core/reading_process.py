@@ -135,7 +135,7 @@ def _read_and_exit(read: Callable[[Progress], Any], sending: int, time_limit: fl
     """Return what the child does; it never returns to its caller's code, and leaves no output of it twice."""
     status = 1
     try:
-        with os.fdopen(sending, "wb") as answers:
+        with os.fdopen(os.dup(sending), "wb") as answers:  # `sending` may be 2, where standard error is closed
 
             def answer(kind: str, content: object = None) -> None:
                 pickle.dump((kind, content), answers, protocol=pickle.HIGHEST_PROTOCOL)

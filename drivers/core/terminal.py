@@ -87,6 +87,7 @@ def open_standard_streams() -> None:
             if nothing != descriptor:
                 os.dup2(nothing, descriptor)
                 os.close(nothing)
+            os.set_inheritable(descriptor, True)  # or it is closed again in processes that this one starts
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8", closefd=False))
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.output_files import REPORT_FILE, check_output_folder, replace_files
-from drivers.core.blas import one_blas_thread
+from drivers.core.blas import numerical_settings
 from drivers.core.child_process import started_without_main
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.cluster import cluster_executor, why_lost
@@ -86,7 +86,7 @@ def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
 
 
 def _work(sending: Connection, job: Job, out: str) -> None:
-    with sending, one_blas_thread(), suppress(KeyboardInterrupt):  # Ctrl-C comes to every process of a terminal
+    with sending, numerical_settings(), suppress(KeyboardInterrupt):  # Ctrl-C comes to every process of a terminal
         sending.send(run_job(job, out))
 
 

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.recording.reader import recording_seconds
 from drivers.core.errors import DynidError, RecordingError, UsageError
-from drivers.core.files import FLEET_FILE, read_text
+from drivers.core.files import FLEET_FILE, check_utf8, read_text
 from drivers.core.ranges import RECORDING_TIME
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping, validated
@@ -219,6 +219,8 @@ def _found(place: str, folder: Path, arm: FleetArm, where: str) -> list[str]:
     files = sorted(glob(str(folder.resolve() / place), recursive=True))
     if not files:
         raise UsageError(f"arm {arm.name}: no file is named like {place}", where=where)
+    for file in files:
+        check_utf8(Path(file).name, UsageError)
     return files
 
 

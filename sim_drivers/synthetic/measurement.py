@@ -16,7 +16,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.loops import coupling_matrix
 from drivers.core.arrays import FloatArray
-from drivers.core.blas import one_blas_thread
+from drivers.core.blas import numerical_settings
 from drivers.core.errors import UsageError
 from drivers.core.software import software_versions
 from drivers.core.units import ZERO_CELSIUS
@@ -130,7 +130,7 @@ def simulate(
     if not isinstance(seed, Integral) or seed < 0:
         raise UsageError(f"seed {seed!r} is not a natural number")
     robot_file = load_robot(robot)
-    with one_blas_thread():
+    with numerical_settings():
         motion = random_fourier_motion(build_model(robot_file), duration, seed)
         return simulate_recording(robot_file, motion, duration, seed, rate)
 

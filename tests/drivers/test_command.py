@@ -105,7 +105,18 @@ def test_tab_completes(run_dynid, monkeypatch, tmp_path, words, expected):
     assert run_dynid()[1].split() == expected
 
 
-@each("arguments", [["idntify"], ["identify"], ["info", "--nope"], ["robot", "show"], ["info", "--rate"]])
+@each(
+    "arguments",
+    [
+        ["idntify"],
+        ["identify"],
+        ["info", "--nope"],
+        ["robot", "show"],
+        ["info", "--rate"],
+        ["info", "a\udcff"],
+        ["recover", "."],
+    ],
+)
 def test_bad_usage_is_one_line_and_exit_2(run_dynid, arguments):
     status, out, err = run_dynid(*arguments)
     assert status == 2

@@ -57,10 +57,10 @@ def test_what_is_no_small_regular_file_is_refused_before_it_is_opened(tmp_path: 
         assert caught.value.where == str(path)
 
 
-@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "file/below"])
+@pytest.mark.parametrize("name", ["a\0b", "x" * 5000, "file/below", "a\udcffb"])
 def test_a_name_that_cannot_be_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match=r"cannot be read|no such file"):
+    with pytest.raises(UsageError, match=r"cannot be read|no such file|not UTF-8"):
         read_bytes(tmp_path / name, SMALL, UsageError)
 
 
@@ -69,6 +69,12 @@ def test_a_file_that_says_it_is_empty_but_goes_on_is_refused() -> None:
     assert check_input(Path("/proc/self/smaps"), SMALL, UsageError) == 0
     with pytest.raises(UsageError, match="is larger than"):
         read_bytes(Path("/proc/self/smaps"), SMALL, UsageError)
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="no /proc")
+def test_a_file_that_cannot_be_read_to_its_end_is_named() -> None:
+    with pytest.raises(UsageError, match="/proc/self/mem: cannot be read: Input/output error"):
+        read_bytes(Path("/proc/self/mem"), SMALL, UsageError)
 
 
 def test_a_recording_in_place_of_a_text_is_named_as_such(tmp_path: Path) -> None:

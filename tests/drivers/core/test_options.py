@@ -148,15 +148,18 @@ def test_a_value_of_another_kind_is_refused_in_words():
     assert grasp("left", force=np.float32(2.0)).force == 2.0
 
 
-def test_a_function_of_python_computes_with_one_blas_thread_and_gives_the_callers_back():
+def test_a_function_of_python_computes_with_its_own_numerical_settings_and_gives_the_callers_back():
     @dataclass
     class NoOptions(Options):
         pass
 
     def threads(_options: object = None) -> set[int]:
+        seen.append(np.geterr()["under"])
         return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
-    with threadpool_limits(2, "blas"):
+    seen: list[str] = []
+    with threadpool_limits(2, "blas"), np.errstate(all="raise"):
         before = threads()
         assert keywords_of(NoOptions)(threads)() == {1}
         assert threads() == before == {2}
+    assert seen == ["raise", "ignore", "raise"]

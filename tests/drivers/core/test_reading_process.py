@@ -15,6 +15,7 @@ import pytest
 from drivers.core import reading_process
 from drivers.core.errors import ImportFileError, RecordingError
 from drivers.core.reading_process import Progress, read_apart
+from drivers.core.terminal import open_standard_streams
 
 PATH = Path("run.h5")
 
@@ -46,6 +47,23 @@ def test_the_result_and_the_progress_come_back() -> None:
     assert steps == ["one", "two"]
     np.testing.assert_array_equal(values, np.arange(12.0).reshape(3, 4).T)
     assert values.flags.writeable
+
+
+@pytest.mark.parametrize("opened", [False, True])
+def test_a_process_without_standard_streams_reads_as_well(opened: bool) -> None:
+    """Opened on nothing, they stay open in processes that it starts."""
+    process = os.fork()
+    if process == 0:
+        ended = 1
+        try:
+            os.closerange(0 if opened else 1, 3)
+            if opened:
+                open_standard_streams()
+            inherited = opened and all(map(os.get_inheritable, range(3)))
+            ended = 2 * (inherited == opened) if read_apart(lambda progress: 7, PATH, RecordingError) == 7 else 1
+        finally:
+            os._exit(ended)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 2
 
 
 def test_an_error_for_people_keeps_its_words() -> None:

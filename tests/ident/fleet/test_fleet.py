@@ -75,6 +75,7 @@ def test_each_recording_with_each_method_is_a_job(tmp_path):
         ("arms: []", "arms"),
         ("arms: [{name: ../x, recordings: [a.h5]}]", "name"),
         ("arms: [{name: a, recordings: [none*.h5]}]", "no file is named like"),
+        ("arms: [{name: a, recordings: [strange*.h5]}]", "not UTF-8"),
         ("arms: [{name: a, recordings: [a.h5, a.h5]}]", "two results would be written to a/a/wls"),
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimat: 2}", "did you mean 'decimate'"),
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {runs: 2}", "not an option of identify"),
@@ -92,6 +93,7 @@ def test_each_recording_with_each_method_is_a_job(tmp_path):
     ],
 )
 def test_a_wrong_fleet_file_is_refused_before_any_work(tmp_path, text, said):
+    (tmp_path / "strange\udcff.h5").touch()
     with pytest.raises(UsageError, match=said):
         identify_fleet(written(tmp_path, text), tmp_path / "out")
     assert not (tmp_path / "out").exists()
