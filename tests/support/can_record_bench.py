@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ import pytest
 import yaml
 from rtde_bench import ENVIRONMENT, ROOT, served
 
-from daq.recording.recording import Recording
+from daq.recording.reader import read_recording
 from daq.recording.recover import half_written
 from daq.robot.loader import load_robot
 from drivers.can.bus import close_bus, open_bus
@@ -35,7 +34,6 @@ from sim_drivers.canopen import network
 network.LOOP_PERIOD = 5e-3  # of the drives, a fifth as often as usual: each turn costs processor time
 sys.exit(main())
 """
-SYNC_RATE = 100
 STATUSWORD = 0x6041
 NODES = range(1, 7)
 PATIENCE = 240.0
@@ -58,30 +56,15 @@ class Arm:
 
 
 def an_arm(folder: Path, **canopen: object) -> Arm:
-    """A UR5e with drives on CANopen, the AUBO i5's table of CAN frames and a thermometer; skipped without multicast."""
+    """A UR5e with drives on CANopen; skipped without multicast."""
     number, pid = next(_numbers), os.getpid()
     group = f"239.75.{pid % 250}.{(pid // 250 + 17 * number) % 250 + 1}"
     port = 20000 + (97 * pid + number) % 30000
     arm = yaml.safe_load(load_robot("ur5e").text)
-    other = yaml.safe_load(load_robot("aubo_i5").text)
-    names = {theirs["name"]: ours["name"] for theirs, ours in zip(other["joints"], arm["joints"], strict=True)}
     for joint in arm["joints"]:
         joint["torque"] = None  # drives jerk where a busy computer leaves SYNCs out; that is not what is tested here
     arm["model"]["mounting"] = "free"  # its first pose, stretched out, is nearer to a table than what is kept
-    connections = arm["connections"]
-    connections["can"] = renamed(other["connections"]["can"], names)
-    place = {"channel": group, "options": {"hop_limit": 0, "port": port}}
-    connections["can"] |= place
-    connections["canopen"] |= {**place, "sync_rate": SYNC_RATE, "with": ["thermometer"], **canopen}
-    connections["thermometer"] = {
-        "driver": "serial_thermometer",
-        "url": str(folder / "port"),
-        "baudrate": 9600,
-        "pattern": r"T(?P<channel>\w+)=(?P<value>[-+.\d]+)",
-        "channels": dict(enumerate(names.values(), start=1)),
-        "unit": "degC",
-        "rate": 5,
-    }
+    arm["connections"]["canopen"] |= {"channel": group, "options": {"hop_limit": 0, "port": port}, **canopen}
     path = folder / "arm.yaml"
     path.write_text(yaml.safe_dump(arm, sort_keys=False), encoding="utf-8")
     try:
@@ -91,15 +74,6 @@ def an_arm(folder: Path, **canopen: object) -> Arm:
     except (ConnectionFailedError, can.CanOperationError) as error:
         pytest.skip(f"no multicast here: {error}")
     return Arm(path, group, port)
-
-
-def renamed(content: Any, names: dict[str, str]) -> Any:
-    """The same content with other names of joints."""
-    if isinstance(content, dict):
-        return {key: renamed(value, names) for key, value in content.items()}
-    if isinstance(content, list):
-        return [renamed(value, names) for value in content]
-    return names.get(content, content) if isinstance(content, str) else content
 
 
 def changed(arm: Arm, connection: str, **keys: object) -> None:
@@ -211,22 +185,6 @@ class Probe:
         raise AssertionError(f"the arm does not move: {said}")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a recording with a fault."""
-
-    status: int  # exit status
-    errors: str  # standard error
-    recording: Recording | None  # the file; None where there is none
-    seconds: float = math.nan  # from the fault to the end of the program; nan where not measured
-    moved: float = math.nan  # how far a joint moves in 0.4 s afterwards [rad]; nan where unknown
-    enabled: Sequence[int] = ()  # nodes enabled afterwards
-
-    def events(self) -> list[str]:
-        """All events of the file, as level: message."""
-        return [] if self.recording is None else [f"{e.level}: {e.message}" for e in self.recording.events]
-
-
 def type_fault(simulator: subprocess.Popen[str], line: str, recording: subprocess.Popen[str], out: Path) -> None:
     """Type a fault into the simulator once the recording has some rows."""
     end = time.monotonic() + PATIENCE
@@ -256,12 +214,13 @@ def _without_losses(errors: str) -> list[str]:
     return [line for line in errors.splitlines() if "were lost" not in line]
 
 
-def assert_stopped(outcome: Outcome, *reasons: str) -> None:
-    """One line gives the cause, the file has it too, and the arm rests with its drives off."""
-    assert outcome.status == 1
-    assert [line.startswith("dynid: ") for line in _without_losses(outcome.errors)] == [True]
-    assert any(reason in outcome.errors for reason in reasons), outcome.errors
-    assert outcome.recording is not None
-    assert not outcome.recording.complete
-    assert len(outcome.recording.streams["joints"].time) > SOME_ROWS
-    assert any(event.startswith("error: stopped: ") for event in outcome.events())
+def assert_stopped(program: subprocess.Popen[str], out: Path, *reasons: str) -> None:
+    """The recording ends with status 1 and one line, which has one of the reasons; the file says it, too."""
+    errors = program.communicate(timeout=PATIENCE)[1]
+    assert program.returncode == 1
+    assert [line.startswith("dynid: ") for line in _without_losses(errors)] == [True]
+    assert any(reason in errors for reason in reasons), errors
+    recording = read_recording(out)
+    assert not recording.complete
+    assert len(recording.streams["joints"].time) > SOME_ROWS
+    assert any(event.level == "error" and event.message.startswith("stopped: ") for event in recording.events)

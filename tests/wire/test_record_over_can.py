@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 from can_record_bench import (
     PATIENCE,
-    Outcome,
     Probe,
     an_arm,
     assert_recorded,
@@ -39,9 +38,8 @@ def test_a_typed_fault_ends_the_recording_and_is_its_reason(tmp_path: Path) -> N
     arm, out = an_arm(tmp_path, **WIDE, mode="none"), tmp_path / "run.h5"
     with simulated(arm, "canopen") as (_, process), recorder(arm, "canopen", out, "--duration", "600") as program:
         type_fault(process, "over-temperature 3", program, out)
-        errors = program.communicate(timeout=PATIENCE)[1]
-    reason = "elbow_joint: fault: drive temperature too high (EMCY 0x4310, register: generic, temperature)"
-    assert_stopped(Outcome(program.returncode, errors, read_recording(out)), reason)
+        reason = "elbow_joint: fault: drive temperature too high (EMCY 0x4310, register: generic, temperature)"
+        assert_stopped(program, out, reason)
 
 
 def test_an_adapter_on_a_pty_is_recorded_until_it_is_pulled_out(tmp_path: Path) -> None:
@@ -51,8 +49,7 @@ def test_an_adapter_on_a_pty_is_recorded_until_it_is_pulled_out(tmp_path: Path) 
         changed(arm, "canopen", interface="slcan", channel=ready["channel"], options={})
         with recorder(arm, "canopen", out, "--duration", "600") as program:
             type_fault(process, "unplug", program, out)
-            errors = program.communicate(timeout=PATIENCE)[1]
-    assert_stopped(Outcome(program.returncode, errors, read_recording(out)), "the CAN adapter", "no complete sample")
+            assert_stopped(program, out, "the CAN adapter", "no complete sample")
 
 
 def test_drives_rest_by_themselves_when_the_program_is_killed_and_the_next_recording_is_complete(
