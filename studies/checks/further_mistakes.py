@@ -205,7 +205,7 @@ def said(case: Callable[[], Made], choices: IdentifyChoices, truth: Instants | N
         found = identify([run], [], choices, believed)
         verdict = found.result.verdict
     except DynidError as refusal:
-        return f"refused: {refusal}"
+        return f"refused: {str(refusal).removeprefix('recording in memory: ').split(' (')[0]}"
     named = [
         f"`{one.name}`" + (f" {', '.join(one.joints)}" if one.joints else "")
         for one in verdict.checks
@@ -226,8 +226,8 @@ def true_error(found: Identification, sound: Instants) -> float:
     return float(np.sqrt(np.sum(weight * rest**2) / np.sum(weight * sound.torque**2)))
 
 
-def rows_of(name: str, data: Path) -> None:
-    """Print what is said of each mistake on an arm."""
+def rows_of(name: str, data: Path) -> dict[str, str]:
+    """Return what is said of each mistake on an arm."""
     choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
     truth: Instants | None = None
     again: Callable[[RobotFile], Recording] | None = None
@@ -248,12 +248,18 @@ def rows_of(name: str, data: Path) -> None:
         run = again(robot_file)
         other = identify([recorded(robot_file, seed + 1)], [], choices, robot_file)
         truth = instants(RegressorKernel(other.model, other.base.columns), [one.prepared for one in other.runs])
+    rows = {}
     for mistake, case in cases(robot_file, run, again, seed).items():
         if not ONLY or any(one in mistake for one in ONLY):
-            print(f"{name} | {mistake} | {said(case, choices, truth)}", flush=True)
+            rows[mistake] = said(case, choices, truth)
+            print(f"{name} | {mistake} | {rows[mistake]}", file=sys.stderr, flush=True)
+    return rows
 
 
 if __name__ == "__main__":
     tracking.LONGEST, open_loop.WINDOWS = 0.2, 1  # no check that is read here follows from a simulation
-    for name in sys.argv[1].split(","):
-        rows_of(name, Path(sys.argv[2] if len(sys.argv) > 2 else "../shared/data"))
+    arms = sys.argv[1].split(",")
+    columns = [rows_of(name, Path(sys.argv[2] if len(sys.argv) > 2 else "../shared/data")) for name in arms]
+    print(f"| mistake | {' | '.join(arms)} |\n|---|{'---|' * len(arms)}")
+    for mistake in columns[0]:
+        print(f"| {mistake} | {' | '.join(column.get(mistake, '–') for column in columns)} |")

@@ -67,14 +67,14 @@ def mistake_checks(
     folded = unsigned_torques(competition, recorded)
     if folded:
         return [_unsigned_check([model.joint_names[joint] for joint in folded])]
-    rippled = ripple_checks(competition)
-    if rippled:
-        return rippled
     well = competition.well_explained
     refit = Refit(model, experiment, base.columns, few, solution)
     tried = candidates(refit, independent, poor=not well)
     deviations = most_likely(refit, runs, independent, tried)
     found = explanations(competition, deviations)
+    rippled = [] if any(one.name == "position-scaled" for one in found) else ripple_checks(competition)
+    if rippled:
+        return rippled
     if found:
         axes = all(one.name == "joint-sign" for one in found)  # a neighbour that is turned over looks the same
         return [_check(model, found, _equal_turns(competition, refit, found[0]) if axes else ())]
@@ -168,10 +168,15 @@ def _clause(model: DynamicModel, one: Mistake) -> str:
         names = ", ".join(model.joint_names[joint] for joint in one.joints)
         return f"the columns of {names} hold {_IN_COLUMNS[one.signal]} of {held}, in this order"
     names = " and ".join(model.joint_names[joint] for joint in one.joints)
-    factor, torque = 1.0 / np.prod(one.positions.factor), 1.0 / np.prod(one.torques.factor)
+    factor, torque = 1.0 / max(one.positions.factor, key=_size), 1.0 / max(one.torques.factor, key=_size)
     too = f" and its torque {torque:.3g} times" if torque != 1.0 else ""
     clause = _CLAUSES[one.name].format(joints=names, factor=factor, too=too)
-    return clause.replace("the torque of", "each torque of") if one.name == "torque-sign" and one.joints[1:] else clause
+    each = one.name in ("torque-sign", "position-scaled") and one.joints[1:]
+    return clause.replace("the ", "each ", 1) if each else clause
+
+
+def _size(factor: float) -> float:
+    return abs(float(np.log(abs(factor))))
 
 
 EQUAL = 0.1

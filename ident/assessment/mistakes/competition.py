@@ -274,7 +274,8 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
         tried = tried[:1] if np.max(recorded.relative) > DOUBTFUL**2 else []
     else:
         count, joints = competition.model.dof, competition.joints
-        tried = [*mistakes(count, joints), *ratios(count, joints), reversed_time(count), *tried]
+        turning = [joint for joint in joints if not competition.model.sliding[joint]]
+        tried = [*mistakes(count, joints), *ratios(count, joints, turning), reversed_time(count), *tried]
     found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
         found = []

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import Literal
+
+import numpy as np
 
 from ident.assessment.instants import Columns
 
@@ -14,8 +16,8 @@ Signal = Literal["torque", "position", "both", "gravity", "time"]
 MOST_JOINTS = 7
 """Joints up to which every pattern of the torques' signs is tried; of more joints two wrong signs at most."""
 
-RATIOS = (0.5, 0.8, 1.25, 2.0)
-"""Factors on a position, as of a gear ratio that is wrong, that are tried."""
+RATIOS = (0.5, 0.8, 1.25, 2.0, 2.0 * np.pi)
+"""Factors on a position that are tried: of a gear ratio that is wrong, and of turns in place of radians."""
 
 FARTHEST = 2
 """Joints between whose motors a coupling is sought, at most so far from each other, in arms of more joints than that;
@@ -53,21 +55,19 @@ def reversed_time(count: int) -> Mistake:
     return Mistake("time-reversed", "time", (), _kept(count), _kept(count))
 
 
-def ratios(count: int, joints: Sequence[int]) -> list[Mistake]:
-    """A position, or position and torque, of another gear ratio than its motor's."""
+def ratios(count: int, joints: Sequence[int], turning: Sequence[int]) -> list[Mistake]:
+    """A position, or position and torque, of another gear ratio than its motor's; all angles in turns."""
     kept, found = _kept(count), []
-    for joint in joints:
-        for ratio in RATIOS:
-            position, torque = (_times(count, joint, factor) for factor in (ratio, 1.0 / ratio))
-            found += [
-                Mistake("position-scaled", "position", (joint,), kept, position),
-                Mistake("position-scaled", "both", (joint,), torque, position),
-            ]
-    return found
+    for joint, ratio in product(joints, RATIOS):
+        position, torque = (_times(count, (joint,), factor) for factor in (ratio, 1.0 / ratio))
+        found.append(Mistake("position-scaled", "position", (joint,), kept, position))
+        found.append(Mistake("position-scaled", "both", (joint,), torque, position))
+    every = _times(count, turning, RATIOS[-1])
+    return [*found, Mistake("position-scaled", "position", tuple(turning), kept, every)] if turning[1:] else found
 
 
-def _times(count: int, joint: int, factor: float) -> Columns:
-    return Columns(tuple(range(count)), tuple(factor if n == joint else 1.0 for n in range(count)))
+def _times(count: int, joints: Sequence[int], factor: float) -> Columns:
+    return Columns(tuple(range(count)), tuple(factor if joint in joints else 1.0 for joint in range(count)))
 
 
 def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
@@ -135,7 +135,7 @@ def _kept(count: int) -> Columns:
 
 
 def _opposite(count: int, joints: Sequence[int]) -> Columns:
-    return Columns(tuple(range(count)), tuple(-1.0 if joint in joints else 1.0 for joint in range(count)))
+    return _times(count, joints, -1.0)
 
 
 def _exchanged(count: int, pair: tuple[int, int]) -> Columns:
