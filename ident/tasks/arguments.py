@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard
@@ -22,6 +23,7 @@ from ident.result.result_file import result_json
 from ident.result.tables import Table, table_of_rows
 from ident.result.units import parameter_unit
 from ident.verdict.acceptance import AcceptanceLimits, declared, read_limits
+from ident.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     from ident.result.gravity import GravityResult
@@ -147,7 +149,26 @@ def write_text(path: str | PathLike[str], text: Callable[[], str], *, overwrite:
     replace_files({path_of(path): text()})
 
 
-class PagedResult(ABC):
+class ShownResult(ABC):
+    """A result that shows itself as text and in a notebook: its parts, one below the other."""
+
+    @abstractmethod
+    def _parts(self) -> tuple[object, ...]:
+        """Tables, verdicts and texts; empty texts are left out."""
+
+    def __str__(self) -> str:
+        return "\n\n".join(str(part) for part in self._parts() if part != "")
+
+    def _repr_html_(self) -> str:
+        return "".join(
+            part._repr_html_()
+            if isinstance(part, (Table, Verdict))
+            else "".join(f"<p>{escape(line)}</p>" for line in str(part).splitlines())
+            for part in self._parts()
+        )
+
+
+class PagedResult(ShownResult):
     """A result that is shown on a page."""
 
     @abstractmethod
@@ -167,7 +188,7 @@ class PagedResult(ABC):
         write_text(path, self._page, overwrite=overwrite)
 
 
-class SavedResult(ABC):
+class SavedResult(ShownResult):
     """A result with a JSON object and a page."""
 
     FILE: ClassVar[str] = RESULT_FILE
@@ -225,8 +246,5 @@ class GradedResult(SavedResult):
         """The text of `result.json`."""
         return result_json(self.result)
 
-    def __str__(self) -> str:
-        return f"{self.verdict}\n\n{self.errors}\n\n{self.parameters}"
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{self.verdict}</pre>{self.errors._repr_html_()}{self.parameters._repr_html_()}"
+    def _parts(self) -> tuple[object, ...]:
+        return self.verdict, self.errors, self.parameters

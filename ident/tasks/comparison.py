@@ -213,12 +213,8 @@ class MethodComparison(SavedResult):
         models = "; ".join(model.label for model in self.models)
         return f"<dynid.MethodComparison on {self.robot}: {models}>"
 
-    def __str__(self) -> str:
-        tables = [table for table in (self.errors, self.maxima, self.differences) if len(table)]
-        return "\n\n".join([*(str(table) for table in tables), *self.failures])
-
-    def _repr_html_(self) -> str:
-        return "".join(table._repr_html_() for table in (self.errors, self.maxima, self.differences) if len(table))
+    def _parts(self) -> tuple[object, ...]:
+        return *(table for table in (self.errors, self.maxima, self.differences) if len(table)), *self.failures
 
 
 @keywords_of(CompareOptions)

@@ -26,7 +26,7 @@ from ident.servo.result import (
     read_servo_result,
     refuse_other_arm,
 )
-from ident.tasks.arguments import GradedResult
+from ident.tasks.arguments import GradedResult, ShownResult
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.validation import result_of
 from ident.verdict.check import PURPOSE_WORDS
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ModelDifference:
+class ModelDifference(ShownResult):
     """Two models of one arm side by side; the columns `first` and `second` are the models."""
 
     # base parameters as estimated, with σ, the difference second − first, and z, the difference over its σ; empty where
@@ -79,15 +79,9 @@ class ModelDifference:
     def __repr__(self) -> str:
         return f"<dynid.ModelDifference: {self.headline}>"
 
-    def __str__(self) -> str:
-        tables = (self.parameters, self.errors, self.purposes, self.checks)
-        return "\n\n".join([self.headline, *(str(table) for table in tables if len(table))])
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        tables = (self.parameters, self.errors, self.purposes, self.checks)
-        return f"<p>{escape(self.headline)}</p>" + "".join(table._repr_html_() for table in tables if len(table))
+    def _parts(self) -> tuple[object, ...]:
+        tables = self.parameters, self.errors, self.purposes, self.checks
+        return self.headline, *(table for table in tables if len(table))
 
 
 def diff(

@@ -160,11 +160,8 @@ class ExcitationTrajectory(PagedResult):
     def __repr__(self) -> str:
         return f"<dynid.ExcitationTrajectory of {self.robot_file.robot.name}, {self.duration:.4g} s>"
 
-    def __str__(self) -> str:
-        return "\n".join([str(self.limits), *([self.summary] if self.summary else [])])
-
-    def _repr_html_(self) -> str:
-        return self.limits._repr_html_()
+    def _parts(self) -> tuple[object, ...]:
+        return self.limits, self.summary
 
 
 @keywords_of(ExciteOptions)

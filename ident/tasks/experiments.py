@@ -69,11 +69,8 @@ class IdentifiedFriction(SavedResult):
     def __repr__(self) -> str:
         return f"<dynid.IdentifiedFriction of {', '.join(joint.joint for joint in self.result.joints)}>"
 
-    def __str__(self) -> str:
-        return "\n".join([str(self.table), *(f"warning: {warning}" for warning in self.warnings)])
-
-    def _repr_html_(self) -> str:
-        return self.table._repr_html_()
+    def _parts(self) -> tuple[object, ...]:
+        return self.table, "\n".join(f"warning: {warning}" for warning in self.warnings)
 
 
 @keywords_of(FrictionOptions)

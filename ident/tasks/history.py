@@ -87,13 +87,8 @@ class ArmTrends(PagedResult):
     def _page(self) -> str:
         return history_page(self.history)
 
-    def __str__(self) -> str:
-        return "\n".join([*self.sentences, "", str(self.trends)])
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return "".join(f"<p>{escape(text)}</p>" for text in self.sentences) + self.trends._repr_html_()
+    def _parts(self) -> tuple[object, ...]:
+        return "\n".join(self.sentences), self.trends
 
 
 class History:

@@ -175,15 +175,11 @@ class IdentificationResult(SavedResult):
         """The text of `result.json`."""
         return result_json(self.result)
 
-    def __str__(self) -> str:
-        accepted = [] if self.acceptance is None else ["", str(self.acceptance)]
-        return "\n".join([str(self.verdict), *accepted, "", str(self.errors), "", str(self.parameters)])
+    def _parts(self) -> tuple[object, ...]:
+        return self.verdict, self.acceptance or "", self.errors, self.parameters
 
     def __repr__(self) -> str:
         return f"<dynid.IdentificationResult {self.result.robot}, {len(self.result.base_parameters)} base parameters>"
-
-    def _repr_html_(self) -> str:
-        return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}{self.parameters._repr_html_()}"
 
 
 @keywords_of(IdentifyOptions, {"gravity": "dynid.identify_gravity(runs)"})

@@ -107,12 +107,11 @@ class IdentifiedPayload(SavedResult):
     def __repr__(self) -> str:
         return f"<dynid.IdentifiedPayload: {self.mass:.4g} kg, σ {self.mass_std:.2g} kg>"
 
-    def __str__(self) -> str:
-        warnings = [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join([str(self.parameters), "", *self.sentences, *warnings])
+    def _parts(self) -> tuple[object, ...]:
+        return self.parameters, "\n".join([*self.sentences, *(f"warning: {warning}" for warning in self.warnings)])
 
     def _repr_html_(self) -> str:
-        return self.parameters._repr_html_() + self.changes._repr_html_()
+        return super()._repr_html_() + self.changes._repr_html_()
 
 
 @dataclass(frozen=True)
@@ -164,11 +163,8 @@ class IdentifiedGains(SavedResult):
         gains = ", ".join(f"{row['joint']} {row['gain']:.4g}" for row in self.gains)
         return f"<dynid.IdentifiedGains: {gains}>"
 
-    def __str__(self) -> str:
-        return "\n".join([str(self.gains), *(f"warning: {warning}" for warning in self.warnings)])
-
-    def _repr_html_(self) -> str:
-        return self.gains._repr_html_()
+    def _parts(self) -> tuple[object, ...]:
+        return self.gains, "\n".join(f"warning: {warning}" for warning in self.warnings)
 
 
 @keywords_of(LoadOptions)

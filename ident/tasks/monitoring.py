@@ -172,11 +172,8 @@ class MonitoredRun(PagedResult):
         contacts = counted(len(self.contacts), "contact")
         return f"<dynid.MonitoredRun of {self.label}: {len(self.time)} samples, {contacts}>"
 
-    def __str__(self) -> str:
-        return str(self.summary)
-
-    def _repr_html_(self) -> str:
-        return self.summary._repr_html_()
+    def _parts(self) -> tuple[object, ...]:
+        return (self.summary,)
 
 
 @keywords_of(MonitorOptions)

@@ -200,11 +200,8 @@ class Prediction(PagedResult):
     def __repr__(self) -> str:
         return f"<dynid.Prediction of {self.label}: {len(self.time)} samples of {len(self.joint_names)} joints>"
 
-    def __str__(self) -> str:
-        return str(self.summary)
-
-    def _repr_html_(self) -> str:
-        return self.summary._repr_html_()
+    def _parts(self) -> tuple[object, ...]:
+        return (self.summary,)
 
 
 @keywords_of(PredictOptions)

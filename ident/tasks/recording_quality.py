@@ -13,13 +13,13 @@ from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.checks.recording_tables import motion_table, stream_table
 from ident.result.tables import Table
-from ident.tasks.arguments import recording_of
+from ident.tasks.arguments import ShownResult, recording_of
 from ident.tasks.options import InfoOptions
 from ident.verdict.verdict import Verdict
 
 
 @dataclass(frozen=True)
-class RecordingQuality:
+class RecordingQuality(ShownResult):
     """Clocks, signals and excitation of a recording; shows itself in a notebook, and is saved as the command saves it.
 
     Attributes:
@@ -74,11 +74,8 @@ class RecordingQuality:
     def __repr__(self) -> str:
         return f"<dynid.RecordingQuality of {self.file}: {self.verdict.headline}>"
 
-    def __str__(self) -> str:
-        return "\n".join([str(self.verdict), "", str(self.streams), "", str(self.motion)])
-
-    def _repr_html_(self) -> str:
-        return f"{self.verdict._repr_html_()}{self.streams._repr_html_()}{self.motion._repr_html_()}"
+    def _parts(self) -> tuple[object, ...]:
+        return self.verdict, self.streams, self.motion
 
 
 @keywords_of(InfoOptions)

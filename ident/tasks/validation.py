@@ -18,7 +18,7 @@ from ident.result.models.model import Model, result_path
 from ident.result.result_file import read_result
 from ident.result.schema import Result
 from ident.result.tables import Table
-from ident.tasks.arguments import limits_of, recording_of, recordings_of
+from ident.tasks.arguments import ShownResult, limits_of, recording_of, recordings_of
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.options import MergeOptions, ValidateOptions
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
@@ -44,7 +44,7 @@ class RecordingValidation:
 
 
 @dataclass(frozen=True)
-class Validation:
+class Validation(ShownResult):
     """Errors of a model on held-out recordings; filters and delay as at its identification.
 
     Attributes:
@@ -93,12 +93,8 @@ class Validation:
         names = ", ".join(recording.recording for recording in self.recordings)
         return f"<dynid.Validation on {names}: {self.verdict.headline}>"
 
-    def __str__(self) -> str:
-        accepted = "" if self.acceptance is None else f"\n\n{self.acceptance}"
-        return f"{self.errors}\n\n{self.verdict}{accepted}"
-
-    def _repr_html_(self) -> str:
-        return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}"
+    def _parts(self) -> tuple[object, ...]:
+        return self.errors, self.verdict, self.acceptance or ""
 
 
 @keywords_of(ValidateOptions)
