@@ -25,7 +25,7 @@ sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 
 import numpy as np
 import yaml
-from random_arm import random_arm, recorded
+from random_arms import built_arm, recorded
 
 from daq.recording.recording import Recording
 from daq.robot.loader import parse_robot
@@ -91,10 +91,10 @@ def main() -> None:
         simulated = simulate(built_in, duration=15.0, seed=1, rate=200.0)
         print(line(f"{built_in}, simulated", simulated, IdentifyChoices()), flush=True)
     for seed in range(arms):
-        print(line(f"random {seed}", recorded(random_arm(seed), seed), IdentifyChoices()), flush=True)
-        arm = random_arm(seed, link_side=True, wrist=0.1)
+        print(line(f"random {seed}", recorded(built_arm(seed), seed), IdentifyChoices()), flush=True)
+        arm = built_arm(seed, link_side=True, wrist=0.1)
         print(line(f"random {seed}, link side, light wrist", recorded(arm, seed), IdentifyChoices()), flush=True)
-        content = yaml.safe_load(random_arm(seed, wrist=0.1).text)
+        content = yaml.safe_load(built_arm(seed, wrist=0.1).text)
         slide(content, 0, np.random.default_rng([seed, 8]))
         arm = parse_robot(json.dumps(content), where=f"lift {seed}", folder=None)
         print(line(f"random {seed}, light wrist, behind a lift", recorded(arm, seed), IdentifyChoices()), flush=True)

@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 
 import numpy as np
-from random_arm import random_arm
+from random_arms import built_arm
 
 from daq.robot.loader import RobotFile
 from daq.robot.prior import Known
@@ -40,7 +40,7 @@ CHOICES = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoic
 def arms(count: int) -> Iterator[RobotFile]:
     """Arms of all kinds."""
     for seed in range(7500, 7500 + count):
-        yield from (random_arm(seed), random_arm(seed, link_side=True), arm(seed), further_arm(seed))
+        yield from (built_arm(seed), built_arm(seed, link_side=True), arm(seed), further_arm(seed))
 
 
 def named(found: Identification, key: str, value: float) -> tuple[bool, bool]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from random_arm import random_arm, recorded
+from random_arms import built_arm, recorded
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
@@ -50,7 +50,7 @@ ARMS = ((0, True), (1, False))
 
 @cache
 def arm(seed: int, light: bool) -> RobotFile:
-    return random_arm(seed, link_side=light, wrist=0.1 if light else 1.0)
+    return built_arm(seed, link_side=light, wrist=0.1 if light else 1.0)
 
 
 @cache
