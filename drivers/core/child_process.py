@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -9,6 +10,8 @@ from contextlib import contextmanager
 from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING
+
+from drivers.core.clock import SYSTEM_CLOCK
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
@@ -51,6 +54,20 @@ def started_without_interrupt() -> Iterator[None]:
             yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with_parent() -> None:
+    """Let this process end at once, whatever it does, when the one that started it (`multiprocessing`) has died."""
+    from multiprocessing import parent_process
+
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    SYSTEM_CLOCK.thread(watch, "parent").start()
 
 
 def leave(process: BaseProcess, patience: float) -> None:

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from daq.recording.recording import Recording
-from drivers.core.child_process import started_without_main
+from drivers.core.child_process import end_with_parent, started_without_main
 from drivers.core.cluster import cluster_executor, peak_memory, why_lost
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
@@ -88,7 +88,8 @@ def _judge(folder: Path, scheduler: str) -> Iterator[Judge]:
         return
 
     def in_a_process(dataset: Dataset, name: str, place: str) -> Future[Entry | None]:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, started_without_main():
+        pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent)
+        with pool, started_without_main():
             return pool.submit(judge_method, dataset, name, place, folder)
 
     yield in_a_process

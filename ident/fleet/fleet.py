@@ -16,7 +16,7 @@ from typing import Any
 
 from daq.output_files import REPORT_FILE, check_output_folder, replace_files
 from drivers.core.blas import numerical_settings
-from drivers.core.child_process import started_without_main
+from drivers.core.child_process import end_with_parent, started_without_main
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.cluster import cluster_executor, why_lost
 from drivers.core.errors import UsageError
@@ -86,6 +86,7 @@ def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
 
 
 def _work(sending: Connection, job: Job, out: str) -> None:
+    end_with_parent()
     with sending, numerical_settings(), suppress(KeyboardInterrupt):  # Ctrl-C comes to every process of a terminal
         sending.send(run_job(job, out))
 
