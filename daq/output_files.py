@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from drivers.core.errors import DiskError, DynidError, DynidWarning, ResultFileError, UsageError
+from drivers.core.errors import DiskError, DynidError, DynidWarning, UsageError
 from drivers.core.files import held_lock
 
 RESULT_FILE = "result.json"
@@ -268,23 +268,13 @@ def with_hashes(text: str, others: Mapping[str, str]) -> str:
 def content_hash(content: Mapping[str, object]) -> str:
     """SHA-256 of a JSON object, however it is formatted, without the hashes in it."""
     own = {key: value for key, value in content.items() if key != GENERATION_KEY}
-    return _hash(json.dumps(own, sort_keys=True).encode())
+    return _hash(json.dumps(own, sort_keys=True, ensure_ascii=False).encode(errors="surrogatepass"))
 
 
-def refuse_changed(path: Path, content: Mapping[str, object]) -> None:
-    """Refuse a JSON object whose numbers or words were changed after dynid wrote it; without its hash, it is taken.
-
-    Raises:
-        ResultFileError: it was changed.
-    """
+def was_changed(content: Mapping[str, object]) -> bool:
+    """Whether a JSON object is another than dynid wrote; without its hash, it is taken as it is."""
     hashes = content.get(GENERATION_KEY)
-    written = hashes.get(OWN_HASH) if isinstance(hashes, dict) else None
-    if written is not None and written != content_hash(content):
-        raise ResultFileError(
-            "was changed after dynid wrote it, so that its verdict may be another model's",
-            where=str(path),
-            hint=f"identify again; if the change is meant, delete the entry '{OWN_HASH}' of '{GENERATION_KEY}' in it",
-        )
+    return isinstance(hashes, dict) and hashes.get(OWN_HASH, content_hash(content)) != content_hash(content)
 
 
 def hashes_of(texts: Mapping[str, str]) -> dict[str, str]:

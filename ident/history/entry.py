@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from daq.output_files import GENERATION_KEY
+from daq.output_files import content_hash
 from drivers.core.errors import ResultFileError
 from ident.friction.table import TEMPERATURE_KINDS, TERMS
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -91,12 +90,11 @@ def read_entry(content: Mapping[str, Any], path: Path, recorded: datetime | None
     values = tuple(value for value in _values(result, warm) if _usable(value))
     if not values:
         raise ResultFileError("has no parameter with a standard deviation", where=str(path))
-    hashed = {key: value for key, value in content.items() if key != GENERATION_KEY}
-    text = json.dumps(hashed, sort_keys=True, ensure_ascii=False)
+    digest = content_hash(content)
     recordings = sorted(recording.sha256 for recording in used)
     return HistoryEntry(
-        digest=hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest(),
-        data=hashlib.sha256("\n".join([result.kind, *(recordings or [text])]).encode()).hexdigest(),
+        digest=digest,
+        data=hashlib.sha256("\n".join([result.kind, *(recordings or [digest])]).encode()).hexdigest(),
         robot=result.robot,
         serial=next(iter(serials), ""),
         kind=result.kind,

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from daq.output_files import refuse_changed, warn_of_strange_files
+from daq.output_files import warn_of_strange_files, was_changed
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
@@ -101,7 +101,9 @@ def read_content(path: Path) -> dict[str, Any]:
         raise ResultFileError(f"is not JSON: {error}", where=str(path)) from error
     if not isinstance(content, dict):
         return {}
-    refuse_changed(path, content)
+    if was_changed(content):
+        hint = "identify again; if the change is meant, delete 'content' of 'files' in it"
+        raise ResultFileError("was changed after dynid wrote it: its verdict may not hold", where=str(path), hint=hint)
     return content
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -486,14 +487,9 @@ def first_samples(segments: Sequence[Segment]) -> list[Segment]:
     """The segments up to `MOST_SAMPLES`, the last one cut there."""
     kept, left = [], MOST_SAMPLES
     for segment in segments:
-        part = slice(0, left)
         if left > 0:
-            cut = {name: getattr(segment, name)[..., part] for name in ("time", "position", "velocity", "acceleration")}
-            cut |= {name: getattr(segment, name)[..., part] for name in ("torque", "used")}
-            cut |= {
-                name: None if getattr(segment, name) is None else getattr(segment, name)[:, part]
-                for name in ("reversing", "resting")
-            }
-            kept.append(segment if len(segment.time) <= left else replace(segment, **cut))
+            arrays = {name: values for name, values in vars(segment).items() if isinstance(values, np.ndarray)}
+            cut: dict[str, Any] = {name: values[..., :left] for name, values in arrays.items()}
+            kept.append(replace(segment, **cut))
         left -= len(segment.time)
     return kept

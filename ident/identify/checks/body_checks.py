@@ -167,30 +167,27 @@ def _total_checks(
     """The mass that the torques show against what arms of this size, and with this payload, weigh, and the URDF."""
     if apparent is None:
         return []
-    confirmed = urdf is not None and _agrees(apparent, urdf)
-    if size is not None and not confirmed and not size.least / WRIST <= apparent <= size.most:
-        text = (
-            f"the torques imply an arm of about {_kilograms(apparent)}; arms of this length weigh "
-            f"{_kilograms(size.least)} to {_kilograms(size.most)}: check the unit of torque or current, the gains, "
-            "and the lengths of the robot file or URDF (m, not mm)"
-        )
-        return [raised("implausible-mass", text)]
-    least, most = PER_PAYLOAD
-    if payload is not None and not least / WRIST <= apparent / payload <= most:
-        text = (
-            f"the torques imply an arm of about {_kilograms(apparent)}; arms for a payload of "
-            f"{_kilograms(payload)} weigh {_kilograms(least * payload)} to {_kilograms(most * payload)}: check the "
-            "unit of torque or current, the gains, and 'payload' of the robot file"
-        )
-        return [raised("implausible-mass", text)]
+    confirmed, (least, most) = urdf is not None and _agrees(apparent, urdf), PER_PAYLOAD
     sane = urdf is not None and (size is None or size.least <= urdf <= size.most)
-    if sane and urdf is not None and not 1.0 / URDF_FACTOR <= apparent / urdf <= URDF_FACTOR:
-        text = (
-            f"the torques imply an arm of about {_kilograms(apparent)}, while the URDF's links weigh "
-            f"{_kilograms(urdf)}: check the unit of torque or current and the gains, or the URDF's inertials"
+    if size is not None and not confirmed and not size.least / WRIST <= apparent <= size.most:
+        beside = (
+            f"arms of this length weigh {_kilograms(size.least)} to {_kilograms(size.most)}: check the unit of torque "
+            "or current, the gains, and the lengths of the robot file or URDF (m, not mm)"
         )
-        return [raised("implausible-mass", text)]
-    return []
+    elif payload is not None and not least / WRIST <= apparent / payload <= most:
+        beside = (
+            f"arms for a payload of {_kilograms(payload)} weigh {_kilograms(least * payload)} to "
+            f"{_kilograms(most * payload)}: check the unit of torque or current, the gains, and 'payload' of the robot "
+            "file"
+        )
+    elif sane and urdf is not None and not 1.0 / URDF_FACTOR <= apparent / urdf <= URDF_FACTOR:
+        beside = (
+            f"the URDF's links weigh {_kilograms(urdf)}: check the unit of torque or current and the gains, or the "
+            "URDF's inertials"
+        )
+    else:
+        return []
+    return [raised("implausible-mass", f"the torques imply an arm of about {_kilograms(apparent)}; {beside}")]
 
 
 def _agrees(mass: float, urdf: float) -> bool:

@@ -160,45 +160,27 @@ def _rows_missing(checks: Sequence[Check]) -> bool:
     return any(check.name == "rows-missing" for check in checks)
 
 
-def _weight_checks(identification: Identification) -> list[Check]:
+def _weight_checks(found: Identification) -> list[Check]:
     """Check whether gravity's torque is that of a mass that no arm of this size has."""
-    consistent, solution = identification.consistent, identification.solution
-    parameters = solution.parameters
+    consistent, parameters, apparent = found.consistent, found.solution.parameters, None
     if consistent is not None:
         stated, without = consistent.parameters.base, consistent.parameters.without
         parameters = without if consistent.parameters.contradicted and without is not None else stated
-    return weight_checks(
-        identification.robot_file.robot,
-        identification.model,
-        identification.base,
-        parameters,
-        _positions(identification),
-        None if consistent is None else consistent.parameters.apparent_mass,
-        np.concatenate([run.signals.torque for run in identification.runs]),
-    )
+        apparent = consistent.parameters.apparent_mass
+    torque = np.concatenate([run.signals.torque for run in found.runs])
+    robot = found.robot_file.robot
+    return weight_checks(robot, found.model, found.base, parameters, _positions(found), apparent, torque)
 
 
-def _urdf_scale(identification: Identification) -> tuple[float, float] | None:
-    return urdf_scale(
-        identification.robot_file,
-        identification.model,
-        identification.base,
-        identification.solution.parameters,
-        _positions(identification),
-        identification.experiment.torques,
-    )
+def _urdf_scale(found: Identification) -> tuple[float, float] | None:
+    values, torques = found.solution.parameters, found.experiment.torques
+    return urdf_scale(found.robot_file, found.model, found.base, values, _positions(found), torques)
 
 
-def _urdf_zero_checks(identification: Identification) -> list[Check]:
-    return urdf_zero_checks(
-        identification.robot_file,
-        identification.model,
-        identification.base,
-        identification.solution.parameters,
-        identification.corrected.covariance,
-        identification.solution.active,
-        _positions(identification),
-    )
+def _urdf_zero_checks(found: Identification) -> list[Check]:
+    solution, covariance = found.solution, found.corrected.covariance
+    values, used, positions = solution.parameters, solution.active, _positions(found)
+    return urdf_zero_checks(found.robot_file, found.model, found.base, values, covariance, used, positions)
 
 
 def _positions(identification: Identification) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,99 +35,69 @@ OF_LIMIT = 3.0
 limit: 0.45 and 0.63 at most of the same arms."""
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What a key of the robot file says of a value, and where it may lie in an arm of this size."""
-
-    key: str
-    least: float
-    most: float
-    low: float
-    high: float
-    unit: str
-
-    def __str__(self) -> str:
-        value = self.least if np.isfinite(self.least) else self.most
-        return f"{self.key} = {value:.4g} {self.unit} (plausible: {rounded(self.low)} to {rounded(self.high)})"
-
-
 def stated_value_checks(
     model: DynamicModel, robot_file: RobotFile, base: BaseParameters, estimate: Estimate, contradicted: Sequence[str]
 ) -> list[Check]:
     """Check values of `known` and bodies of `prior` that no arm of this size has, whatever the data leave open.
 
-    Args:
-        model: the arm.
-        robot_file: its file.
-        base: base parameters of the experiment.
-        estimate: of them.
-        contradicted: what the data deny of the file, each text with its key first.
+    `contradicted` is what the data deny of the file, each text with its key first: named already.
     """
     robot, size = robot_file.robot, mass_of_size(model)
-    prior = robot.prior.model_copy(update={"links": {}})
-    free = robot_file.model_copy(update={"robot": robot.model_copy(update={"known": {}, "prior": prior})})
     if not (robot.known or robot.prior.links) or size is None:
         return []
+    prior = robot.prior.model_copy(update={"links": {}})
+    free = robot_file.model_copy(update={"robot": robot.model_copy(update={"known": {}, "prior": prior})})
     found = found_consistent(model, base, estimate, free)
     if found is None:
         return []
     masses = found.values[MASS : LINK_SIZE * len(model.joints) : LINK_SIZE]
     bodies = urdf_inertias(robot_file, model.link_names)
-    by_urdf = [mass if body is None else body[0] for mass, body in zip(masses, bodies, strict=True)]
-    likely = np.array([masses, np.full(len(masses), masses.mean()), np.full(len(masses), size.expected / len(masses))])
-    likely = np.vstack([likely, by_urdf])
-    totals = [float(masses.sum()), size.expected, float(np.sum(by_urdf))]
+    stated = [mass if body is None else body[0] for mass, body in zip(masses, bodies, strict=True)]
+    even = np.ones(len(masses)) / len(masses)
+    likely = np.array([masses, masses.sum() * even, size.expected * even, stated])
     denied = {text.split(" ")[0] for text in contradicted}
     wrong = [
-        stated
-        for stated in _all_stated(model, robot_file, likely, totals)
-        if stated.key not in denied and (stated.least > stated.high or stated.most < stated.low)
+        f"{key} = {least if np.isfinite(least) else most:.4g} {unit} (plausible: {rounded(low)} to {rounded(high)})"
+        for key, unit, (least, most), (low, high) in _stated(model, robot_file, likely)
+        if key not in denied and (least > high or most < low)
     ]
-    if not wrong:
-        return []
-    text = f"no arm of this size has what the robot file states: {', '.join(map(str, wrong))}; correct it"
-    return [raised("known-implausible", text)]
+    text = f"no arm of this size has what the robot file states: {', '.join(wrong)}; correct it"
+    return [raised("known-implausible", text)] if wrong else []
 
 
-def _all_stated(
-    model: DynamicModel, robot_file: RobotFile, likely: FloatArray, totals: Sequence[float]
-) -> Iterator[Stated]:
-    """All that the file states; `likely`, `totals`: masses of the links (m, k) and of the arm, estimated in m ways."""
-    robot, length = robot_file.robot, full_length(model) + travel(model)
-    low, high = likely.min(axis=0) / LIGHTER, likely.max(axis=0) * HEAVIER
+def _stated(
+    model: DynamicModel, robot_file: RobotFile, likely: FloatArray
+) -> Iterator[tuple[str, str, tuple[float, float], tuple[float, float]]]:
+    """Key and unit of all that the file states, its range, and a plausible one; `likely`: four masses (4, k) a link."""
+    robot, length, totals = robot_file.robot, full_length(model) + travel(model), likely.sum(axis=1)
+    light, heavy = likely.min(axis=0) / LIGHTER, likely.max(axis=0) * HEAVIER
     columns = {parameter.name: index for index, parameter in enumerate(model.parameters)}
     for name, known in robot.known.items():
-        least = known.value if known.value is not None else -np.inf if known.min is None else known.min
-        most = known.value if known.value is not None else np.inf if known.max is None else known.max
-        key, unit = f"known.{name}", "kg"
+        limits = (-np.inf if known.min is None else known.min, np.inf if known.max is None else known.max)
+        key, between = f"known.{name}", limits if known.value is None else (known.value, known.value)
         if name == TOTAL_MASS:
-            yield Stated(key, least, most, min(totals) / TOTAL, max(totals) * TOTAL, unit)
+            yield key, "kg", between, (totals.min() / TOTAL, totals.max() * TOTAL)
             continue
-        parameter, unit = model.parameters[columns[name]], parameter_unit(model, columns[name])
-        if parameter.kind != "inertial":
-            bound = _joint_bound(robot_file, model, parameter)
-        elif parameter.symbol == "M":
-            yield Stated(key, least, most, low[parameter.joint], high[parameter.joint], unit)
+        parameter = model.parameters[columns[name]]
+        link, unit = parameter.joint, parameter_unit(model, columns[name])
+        if parameter.symbol == "M":
+            yield key, unit, between, (light[link], heavy[link])
             continue
-        else:
-            first = parameter.symbol.startswith("M")
-            share = MOMENT * length if first else SECOND_MOMENT * length**2
-            bound = share * float(likely[:, parameter.joint].max())
-        yield Stated(key, least, most, -bound, bound, unit)
-    for name, link in robot.prior.links.items():
-        place = model.link_names.index(name)
-        if link.mass is not None:
-            yield Stated(f"prior.links.{name}.mass", link.mass, link.mass, low[place], high[place], "kg")
-        for coordinate in link.com or ():
-            bound = AWAY * length
-            yield Stated(f"prior.links.{name}.com", coordinate, coordinate, -bound, bound, "m")
+        share = MOMENT * length if parameter.symbol.startswith("M") else SECOND_MOMENT * length**2
+        bound = share * likely[:, link].max() if parameter.kind == "inertial" else _joint_bound(model, parameter)
+        yield key, unit, between, (-bound, bound)
+    for name, body in robot.prior.links.items():
+        link = model.link_names.index(name)
+        if body.mass is not None:
+            yield f"prior.links.{name}.mass", "kg", (body.mass, body.mass), (light[link], heavy[link])
+        for place in body.com or ():
+            yield f"prior.links.{name}.com", "m", (place, place), (-AWAY * length, AWAY * length)
 
 
-def _joint_bound(robot_file: RobotFile, model: DynamicModel, parameter: StandardParameter) -> float:
+def _joint_bound(model: DynamicModel, parameter: StandardParameter) -> float:
     """Value of a joint's parameter at which it takes `OF_LIMIT` of the torque limit; infinite where none is stated."""
-    stated = {joint.name: joint for joint in robot_file.robot.joints}.get(model.link_names[parameter.joint])
-    if stated is None:
+    if parameter.joint not in model.active:
         return np.inf
-    signals = {"coulomb": 1.0, "offset": 1.0, "viscous": stated.velocity, "motor_inertia": stated.acceleration}
-    signal = signals.get(parameter.kind)
-    return OF_LIMIT * stated.torque / signal if stated.torque and signal else np.inf
+    limits = model.limits[model.active.index(parameter.joint)]
+    signals = {"coulomb": 1.0, "offset": 1.0, "viscous": limits.velocity, "motor_inertia": limits.acceleration}
+    return OF_LIMIT * (limits.torque or np.inf) / signals.get(parameter.kind, 1e-9)
