@@ -225,17 +225,6 @@ def take_place(unfinished: Path, path: Path, *, overwrite: bool) -> None:
         unfinished.unlink()
 
 
-def save_folder(folder: Path, texts: Mapping[str, str], *, overwrite: bool) -> None:
-    """Write text files into a folder as `write_folder` does, after `check_output_folder`.
-
-    Raises:
-        UsageError: one exists already and may not be overwritten, or as those two do.
-        DiskError: the disk is full or fails.
-    """
-    check_output_folder(folder, list(texts), overwrite=overwrite)
-    write_folder(folder, texts)
-
-
 def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
     """Write text files by their names into a folder, which is made where it does not exist; all of them or none.
 

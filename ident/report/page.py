@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
-from daq.output_files import REPORT_FILE, RESULT_FILE, save_folder
 from ident.report.html_file import page_templates
 from ident.report.section import ReportData, ReportSection
 from ident.report.sections import (
@@ -19,7 +17,6 @@ from ident.report.sections import (
     summary,
     truth,
 )
-from ident.result.result_file import result_json
 
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
@@ -40,17 +37,6 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     provenance.section,
 )
 """Sections in the order of the page; one that does not apply to this result returns None."""
-
-
-def write_result_folder(folder: Path, data: ReportData, *, overwrite: bool = False) -> None:
-    """Write result.json and report.html into a folder: both or neither.
-
-    Raises:
-        UsageError: they exist already and may not be overwritten, it is a file, or cannot be written.
-        DiskError: the disk is full or fails.
-    """
-    texts = {RESULT_FILE: result_json(data.result) + "\n", REPORT_FILE: render_report(data)}
-    save_folder(folder, texts, overwrite=overwrite)
 
 
 def render_report(data: ReportData) -> str:

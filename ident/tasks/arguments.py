@@ -192,7 +192,8 @@ class SavedResult(ShownResult):
     """A result with a JSON object and a page."""
 
     FILE: ClassVar[str] = RESULT_FILE
-    """Name of the JSON file."""
+    PAGE: ClassVar[str] = REPORT_FILE
+    """Names of the JSON file and of the page."""
 
     def to_json(self) -> str:
         """The text of the JSON file, which the command prints with `--json`."""
@@ -200,10 +201,10 @@ class SavedResult(ShownResult):
 
     @abstractmethod
     def _page(self) -> str:
-        """The text of `report.html`."""
+        """The text of the page."""
 
     def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the result (JSON) and `report.html` into a folder, as the command does with `-o`.
+        """Write the result (JSON) and its page into a folder, as its command does with `-o` or `--page`.
 
         Args:
             folder: made where it does not exist.
@@ -214,8 +215,8 @@ class SavedResult(ShownResult):
             DiskError: the disk is full or fails.
         """
         place = path_of(folder)
-        check_output_folder(place, (self.FILE, REPORT_FILE), overwrite=overwrite)
-        write_folder(place, {self.FILE: self.to_json() + "\n", REPORT_FILE: self._page()})
+        check_output_folder(place, (self.FILE, self.PAGE), overwrite=overwrite)
+        write_folder(place, {self.FILE: self.to_json() + "\n", self.PAGE: self._page()})
 
 
 class GradedResult(SavedResult):

@@ -6,20 +6,19 @@ from dataclasses import dataclass
 from os import PathLike
 
 from daq.robot.loader import load_robot
-from drivers.core.files import path_of
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
-from ident.checks.page.page import write_page
+from ident.checks.page.page import render_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.checks.recording_tables import motion_table, stream_table
 from ident.result.tables import Table
-from ident.tasks.arguments import ShownResult, recording_of
+from ident.tasks.arguments import SavedResult, recording_of
 from ident.tasks.options import InfoOptions
 from ident.verdict.verdict import Verdict
 
 
 @dataclass(frozen=True)
-class RecordingQuality(ShownResult):
+class RecordingQuality(SavedResult):
     """Clocks, signals and excitation of a recording; shows itself in a notebook, and is saved as the command saves it.
 
     Attributes:
@@ -32,6 +31,9 @@ class RecordingQuality(ShownResult):
         >>> quality.streams.row("joints")["lost"]
         0
     """
+
+    FILE = "info.json"
+    PAGE = "info.html"
 
     file: str
     figures: RecordingInfo
@@ -54,18 +56,8 @@ class RecordingQuality(ShownResult):
         """
         return motion_table(self.figures)
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `info.json` and `info.html` into a folder, as `dynid info --page` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        write_page(path_of(folder), self.figures, self.file, overwrite=overwrite)
+    def _page(self) -> str:
+        return render_page(self.figures, self.file)
 
     def to_json(self) -> str:
         """Return what `dynid info --json` prints."""

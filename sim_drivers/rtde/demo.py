@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.commands.console import print_json, print_table
 from daq.motion.trajectory_file import dump_trajectory, load_trajectory
-from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, left_to_others, replace_files
+from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, left_to_others, replace_files, write_folder
 from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
@@ -30,7 +30,8 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
+from ident.report import ReportData, TruthTable, recorded_runs, render_report
+from ident.result.result_file import result_json
 from ident.tasks.excitation import search_state
 from sim_drivers.served import DemoOptions
 from sim_drivers.simulated_arm import Record, Recorded, over_rtde
@@ -133,17 +134,14 @@ def run_demo(
     # From here on it is what a user does: two recordings on disk, nothing known but their content.
     recordings = [[read_recording(path)] for path in paths]
     identification = identify(recordings[0], recordings[1], IdentifyChoices(), progress=progress)
-    write_result_folder(
-        folder,
-        ReportData(
-            identification.result,
-            identification.fit_series,
-            identification.validation_series,
-            TruthTable(names=base.names, values=truth),
-            recorded_runs(identification),
-        ),
-        overwrite=True,  # what exists was asked for before anything was computed
+    data = ReportData(
+        identification.result,
+        identification.fit_series,
+        identification.validation_series,
+        TruthTable(names=base.names, values=truth),
+        recorded_runs(identification),
     )
+    write_folder(folder, {RESULT_FILE: result_json(data.result) + "\n", REPORT_FILE: render_report(data)})
     return Demo(identification, truth, folder, lost, samples)
 
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daq.output_files import save_folder
 from daq.recording.quality.stream_quality import LOST_FROM, StreamQuality
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from drivers.core.arrays import FloatArray
-from drivers.core.text import counted, json_text
+from drivers.core.text import counted
 from drivers.core.units import common_unit
 from ident.assessment.excitation import RecordedMotion
-from ident.checks.recording_check import RecordingInfo, info_object
+from ident.checks.recording_check import RecordingInfo
 from ident.checks.recording_tables import column_table, gap_table, motion_table, shown_unit, stream_table
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, bold, plain, shortened
@@ -222,20 +220,8 @@ def _lost(quality: StreamQuality) -> str:
     return f"{quality.lost} lost in {counted(len(quality.gaps), 'gap')}"
 
 
-JSON_FILE = "info.json"
-PAGE_FILE = "info.html"
 MOST_GAPS = 50
 """Gaps in the page's table; a recording that lost samples all the time has thousands."""
-
-
-def write_page(folder: Path, info: RecordingInfo, file: str, *, overwrite: bool = False) -> None:
-    """Write info.json and info.html into a folder.
-
-    Raises:
-        UsageError, DiskError: they exist already and may not be overwritten, or cannot be written.
-    """
-    texts = {JSON_FILE: json_text(info_object(info, file)) + "\n", PAGE_FILE: render_page(info, file)}
-    save_folder(folder, texts, overwrite=overwrite)
 
 
 def render_page(info: RecordingInfo, file: str) -> str:

@@ -28,15 +28,14 @@ def show_info(
     from daq.commands.console import progress_line
     from daq.output_files import check_output_folder
     from daq.robot.loader import load_robot
-    from ident.checks.page.page import JSON_FILE, PAGE_FILE
     from ident.commands.printing.checks import print_info
     from ident.tasks.arguments import paths_of
-    from ident.tasks.recording_quality import info
+    from ident.tasks.recording_quality import RecordingQuality, info
 
     if page is not None:
         robot = options.robot
         inputs = [*paths_of(options.run), *(load_robot(robot).files if robot else ())]
-        check_output_folder(page, (JSON_FILE, PAGE_FILE), inputs, overwrite=force)
+        check_output_folder(page, (RecordingQuality.FILE, RecordingQuality.PAGE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
         quality = info(**{**vars(options), "progress": progress})
         if page is not None:
@@ -47,4 +46,4 @@ def show_info(
         return
     print_info(quality.figures, quality.file, verbose=verbose)
     if page is not None:
-        print(f"\n{page / JSON_FILE}\n{page / PAGE_FILE}")
+        print(f"\n{page / quality.FILE}\n{page / quality.PAGE}")

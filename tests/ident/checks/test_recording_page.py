@@ -15,9 +15,10 @@ from html_page import Page
 
 from daq.recording.recording import Channel, Event, Recording, Stream
 from drivers.core.errors import UsageError
-from ident.checks.page.page import JSON_FILE, MOST_COLUMNS, MOST_GAPS, PAGE_FILE, render_page, write_page
+from ident.checks.page.page import MOST_COLUMNS, MOST_GAPS, render_page
 from ident.checks.recording_check import info_object, recording_info
 from ident.model.dynamic_model import build_model
+from ident.tasks.recording_quality import RecordingQuality
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.data_mistakes import with_rows, with_values
 
@@ -147,9 +148,10 @@ def test_nothing_is_fetched(page: Page):
 def test_json_and_page_lie_in_one_folder(run: Recording, tmp_path: Path):
     info = recording_info(run, run.robot())
     folder = tmp_path / "new" / "info"
-    write_page(folder, info, "run.h5")
-    assert sorted(path.name for path in folder.iterdir()) == sorted([JSON_FILE, PAGE_FILE])
-    written = json.loads((folder / JSON_FILE).read_text(encoding="utf-8"))
+    quality = RecordingQuality("run.h5", info)
+    quality.save(folder)
+    assert sorted(path.name for path in folder.iterdir()) == ["info.html", "info.json"]
+    written = json.loads((folder / "info.json").read_text(encoding="utf-8"))
     assert written["streams"]["joints"]["lost"] == info_object(info, "run.h5")["streams"]["joints"]["lost"] == 100
     with pytest.raises(UsageError, match="a folder is needed"):
-        write_page(folder / PAGE_FILE, info, "run.h5")
+        quality.save(folder / "info.html")

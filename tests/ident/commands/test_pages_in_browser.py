@@ -22,8 +22,7 @@ from daq.output_files import REPORT_FILE
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.checks.page.page import PAGE_FILE as INFO_PAGE
-from ident.checks.page.page import write_page as write_info_page
+from ident.checks.page.page import render_page as render_info_page
 from ident.checks.recording_check import recording_info
 from ident.excite.forecast import excitation_figures
 from ident.excite.page import page as design_page
@@ -32,7 +31,7 @@ from ident.history.database import add_entries
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.report import ReportData, TruthTable, write_result_folder
+from ident.report import ReportData, TruthTable, render_report
 from ident.report import monitor_page as watched_page
 from ident.result.tables import table_of_rows
 from ident.tasks.history import History
@@ -74,10 +73,10 @@ def identification_page(folder: Path) -> Path:
     base = base_parameters(build_model(robot_file))
     found = identified()
     truth = TruthTable(base.names, base.projection @ truth_vector(robot_file))
-    write_result_folder(
-        folder, ReportData(found.result, found.fit_series, found.validation_series, truth, found.recorded)
-    )
-    return folder / REPORT_FILE
+    data = ReportData(found.result, found.fit_series, found.validation_series, truth, found.recorded)
+    path = folder / "report.html"
+    path.write_text(render_report(data), encoding="utf-8")
+    return path
 
 
 def excitation_page(folder: Path) -> Path:
@@ -93,8 +92,9 @@ def excitation_page(folder: Path) -> Path:
 def recording_page(folder: Path) -> Path:
     kept = np.delete(np.arange(1500), [*range(300, 420), 900, 901])
     recording = recorded(3, kept, rate=125.0)
-    write_info_page(folder / "info", recording_info(recording, recording.robot()), "run.h5")
-    return folder / "info" / INFO_PAGE
+    path = folder / "info.html"
+    path.write_text(render_info_page(recording_info(recording, recording.robot()), "run.h5"), encoding="utf-8")
+    return path
 
 
 def prediction_page(folder: Path) -> Path:

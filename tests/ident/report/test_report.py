@@ -17,7 +17,7 @@ from torque_series import series
 from drivers.core.errors import UsageError
 from ident.assessment.delay.delay import DelaySearch, JointDelay
 from ident.assessment.validation import Fit
-from ident.report import TruthTable, render_report, write_result_folder
+from ident.report import TruthTable, render_report
 from ident.report.figures.traces import POINTS_PER_TRACE
 from ident.report.section import ReportData
 from ident.result.delivered import Delivered
@@ -33,6 +33,7 @@ from ident.result.schema import (
     Result,
 )
 from ident.signals.prepared import Step
+from ident.tasks.identification import IdentificationResult
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import JointVerdict, PurposeVerdict, Verdict, judge
@@ -353,7 +354,7 @@ def test_truth_section() -> None:
 
 
 def test_written_as_utf8(tmp_path: Path) -> None:
-    write_result_folder(tmp_path, ReportData(result(robot="Größe ✓"), (series(),), ()))
+    IdentificationResult(result(robot="Größe ✓"), (series(),)).save(tmp_path)
     text = (tmp_path / "report.html").read_bytes().decode("utf-8")
     assert '<meta charset="utf-8">' in text
     assert "Größe ✓" in text
@@ -362,7 +363,7 @@ def test_written_as_utf8(tmp_path: Path) -> None:
 def test_unwritable_place_is_told(tmp_path: Path) -> None:
     (tmp_path / "report.html").mkdir()
     with pytest.raises(UsageError, match="is a folder; a file is needed"):
-        write_result_folder(tmp_path, ReportData(result(), (series(),), ()))
+        IdentificationResult(result(), (series(),)).save(tmp_path)
     assert not (tmp_path / "result.json").exists()
 
 
