@@ -237,7 +237,10 @@ def check_motion(runs: Sequence[RunWindow], names: Sequence[str]) -> None:
         DataError: such joints, by name.
     """
     for run in (run for run in runs if len(run.time) > 1):
-        change, period = np.median(np.abs(np.diff(run.position, axis=0)), axis=0), np.median(np.diff(run.time))
+        change, period = (
+            np.median(np.abs(np.diff(run.position, axis=0)), axis=0),
+            np.ptp(run.time) / max(1, len(run.time) - 1),
+        )
         moves = np.ptp(run.position, axis=0) > MOVES
         jumbled = [names[n] for n in np.flatnonzero(moves & (change > JUMBLED * run.position.std(axis=0))).tolist()]
         if jumbled:

@@ -78,9 +78,6 @@ def mistake_checks(
     if found:
         axes = all(one.name == "joint-sign" for one in found)  # a neighbour that is turned over looks the same
         return [_check(model, found, _equal_turns(competition, refit, found[0]) if axes else ())]
-    misplaced = shift_check(competition) if not well else []
-    if misplaced:
-        return misplaced
     changes = Changes(model, experiment, base, whole, solution) if whole else None
     changed = None if changes is None else changes.best()
     if changes is not None and changed is not None:
@@ -94,6 +91,9 @@ def mistake_checks(
         )
         if switched and not (deviations and reported(deviations[0]) and competition.explained_by(deviations[0])):
             return switched
+    misplaced = [] if well else shift_check(competition)
+    if misplaced:
+        return misplaced
     if not well or (deviations and reported(deviations[0])):
         deviations = most_likely(refit, runs, independent, [*tried, *quarter_turns(refit)])
     if deviations and not well and not competition.explained_by(deviations[0]):

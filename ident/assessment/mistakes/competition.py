@@ -279,8 +279,9 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
         found = []
-    if not well and (not found or competition.error(found[0]) > WELL_BY_ONE):
-        level = found[0].fit.level - RIVAL if found else np.inf
+    scaled = bool(found) and found[0].mistake.name == "position-scaled"
+    if not well and (not found or scaled or competition.error(found[0]) > WELL_BY_ONE):
+        level = found[0].fit.level - (0.0 if scaled else RIVAL) if found else np.inf
         coupled = competition.best(couplings(competition.model.dof, competition.joints))
         if coupled and coupled[0].fit.level < level and competition.error(coupled[0]) < COUPLED:
             found = coupled if competition.explains(coupled[0], recorded) else found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.assessment.mistakes.competition import COUPLED, HALVED, JOINT_EXPLAINED, RIVAL, Competition
+from ident.assessment.mistakes.competition import COUPLED, HALVED, RIVAL, WELL_EXPLAINED, Competition
 from ident.assessment.mistakes.equations import LEAST_ERROR, RIDGE
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
@@ -48,7 +48,7 @@ def shift_check(competition: Competition) -> list[Check]:
         abs(shifts[best]) < LEAST_SHIFT
         or min(levels.min() - RIVAL, plain - 2.0 * HALVED) < level
         or errors[row, best] > COUPLED
-        or (alone and relative[row, best, row] > JOINT_EXPLAINED**2)
+        or (alone and relative[row, best, row] > WELL_EXPLAINED**2)
     ):
         return []
     names = [competition.model.joint_names[joints[row]]] if alone else []
