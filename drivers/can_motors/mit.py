@@ -99,6 +99,7 @@ class MitCodec(MotorCodec):
 class DamiaoCodec(MitCodec):
     """Damiao DM motors; `MotorAddress.host` is the master id that the motor answers on."""
 
+    told = ("position", "velocity", "torque", "temperature", "drive_temperature")
     registers: ClassVar[Mapping[str, int]] = {
         "torque_constant": 1,
         "master_id": 7,
@@ -112,10 +113,6 @@ class DamiaoCodec(MitCodec):
     def __init__(self, motor: MotorAddress) -> None:
         super().__init__(motor)
         self._asking = struct.pack("<H", motor.id)
-
-    def quantities(self, *, read_only: bool) -> tuple[str, ...]:
-        """The same in any case."""
-        return ("position", "velocity", "torque", "temperature", "drive_temperature")
 
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:
         """The request for its state, which changes nothing."""
@@ -162,11 +159,8 @@ class DamiaoCodec(MitCodec):
 class CubemarsCodec(MitCodec):
     """CubeMars AK motors in MIT mode; `MotorAddress.host` is the identifier that they answer on."""
 
+    told = ("position", "velocity", "torque", "temperature")
     times_out = False
-
-    def quantities(self, *, read_only: bool) -> tuple[str, ...]:
-        """The same in any case."""
-        return ("position", "velocity", "torque", "temperature")
 
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:
         """Entering MIT mode again; nothing where nothing may be written: what others command is answered, too."""

@@ -22,15 +22,12 @@ MOST_SPEED, MOST_CURRENT = 1e4, 1e3
 class OdriveCodec(MotorCodec):
     """ODrive axes: its cascade of a position and a velocity loop is a spring and a damper without its integrator."""
 
+    told = ("position", "velocity", "torque", "temperature", "drive_temperature")  # temperatures as reported last
     keeps = ("speed_limit", "current_limit")
     times_out = False
     unasked = True
     answers_goals = False
     roll_call_time = 0.2
-
-    def quantities(self, *, read_only: bool) -> tuple[str, ...]:
-        """The same in any case; temperatures are the last reported ones."""
-        return ("position", "velocity", "torque", "temperature", "drive_temperature")
 
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:
         """Remote frames for estimates and torques."""

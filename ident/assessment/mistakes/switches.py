@@ -8,10 +8,9 @@ from itertools import product
 
 import numpy as np
 
-from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS
 from ident.assessment.mistakes.competition import EXPLAINED, HALVED, RIVAL, Competition
-from ident.assessment.mistakes.equations import Equations, HypothesisFit
+from ident.assessment.mistakes.equations import HypothesisFit
 from ident.assessment.mistakes.hypotheses import Mistake, mistakes
 from ident.model.dynamic_model import DynamicModel
 from ident.verdict.catalogue import raised
@@ -135,10 +134,5 @@ def _recorded(competition: Competition, switch: Switch, *, bound: bool = False) 
 def _error(competition: Competition, switch: Switch, fit: HypothesisFit) -> float:
     """Relative error of the whole arm."""
     system, _ = competition.system(competition.recorded)
-    power: FloatArray = _diagonal(system)
+    power = np.einsum("kjj->j", system.power)  # Σ τ² of each joint's own torque
     return float(np.sqrt(np.sum(fit.relative * power) / max(float(power.sum()), np.finfo(float).tiny)))
-
-
-def _diagonal(system: Equations) -> FloatArray:
-    """(n,) Σ τ² of each joint's own torque."""
-    return np.asarray(np.einsum("kjj->j", system.power))
