@@ -7,11 +7,9 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Lock
+from threading import Lock, Thread
 from types import ModuleType
 from typing import TYPE_CHECKING
-
-from drivers.core.clock import SYSTEM_CLOCK
 
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
@@ -67,7 +65,7 @@ def end_with_parent() -> None:
             parent.join()
             os._exit(1)
 
-    SYSTEM_CLOCK.thread(watch, "parent").start()
+    Thread(target=watch, daemon=True).start()  # processes run by the computer's clock, whatever ours is
 
 
 def leave(process: BaseProcess, patience: float) -> None:

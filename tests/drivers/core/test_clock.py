@@ -13,6 +13,7 @@ from drivers.core.clock import Clock
 
 WAITS_FOR_NOTHING = {
     "drivers/core/clock.py",  # the one place
+    "drivers/core/child_process.py",  # waits for the end of a process
     "daq/session/realtime.py",  # is joined at once
     "sim_drivers/serving.py",  # reads what is typed, with errors of its own
     "sim_drivers/simulated_arm.py",  # waits for one line of a process

@@ -180,7 +180,7 @@ def test_the_method_of_the_docs_runs_from_the_current_folder(mirror, exact, monk
     (tmp_path / "documented_method.py").write_text(f"{block[1]}\n\ndef leave(training):\n    raise SystemExit(0)\n")
     monkeypatch.chdir(tmp_path)
     # Threads in place of processes, which take seconds to start; what goes to them and comes back must be picklable.
-    monkeypatch.setattr(run, "ProcessPoolExecutor", lambda workers, mp_context: ThreadPoolExecutor(workers))
+    monkeypatch.setattr(run, "ProcessPoolExecutor", lambda workers, **_: ThreadPoolExecutor(workers))
     places = ("documented_method:leave", "documented_method:fit", "no_such_module:fit")
     result = run_benchmark([exact], chosen_methods(places), mirror)
     left, entry, lost = pickle.loads(pickle.dumps(result.entries))
