@@ -119,6 +119,9 @@ class Benchmark(SavedResult):
     def _page(self) -> str:
         return rendered("benchmark_page", benchmark=self)
 
+    def _parts(self) -> tuple[object, ...]:
+        return self.losses, *self.tables, "\n".join(self.failures)
+
 
 def _difference(ours: Entry, other: Entry) -> tuple[float, float]:
     """Mean difference of the errors over blocks of held-out time, ours minus the other's, and half of its interval."""
