@@ -30,9 +30,6 @@ deviation that shows rows in disorder: independent rows make 0.9."""
 FASTEST = 500.0
 """Median speed [rad/s or m/s] that no arm has; in degrees per second it is 9 rad/s."""
 
-LEAST_REPEATED = 0.3
-"""Share of the last part's samples that the first one holds, too, from which on it is not held out: appended data."""
-
 NOT_HELD_OUT = "NOT held out"
 """Stands in the name of a recording whose samples were used in the identification."""
 
@@ -274,5 +271,7 @@ def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
             hint="omit it to hold out the last 30 %",
         )
     first, last = replace(run, start=start, stop=border), replace(run, start=border)
-    repeated = overlap(last.hashes, [kept_hashes(first.hashes)])
-    return first, replace(last, overlap=repeated if repeated >= LEAST_REPEATED else 0.0)
+    appended = (
+        overlap(last.hashes, [kept_hashes(first.hashes)]) >= 1.0
+    )  # less may be coarse values of a periodic motion
+    return first, replace(last, overlap=1.0 if appended else 0.0)
