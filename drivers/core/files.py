@@ -190,6 +190,7 @@ def held_lock(key: str) -> Iterator[bool]:
 
     Raises:
         OSError: there is no place for temporary files.
+        InputError: files of that place cannot be locked.
     """
     try:
         import fcntl
@@ -202,8 +203,12 @@ def held_lock(key: str) -> Iterator[bool]:
         descriptor = _opened(path)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
             os.close(descriptor)
+            if not isinstance(error, BlockingIOError):  # a file system without locks
+                raise InputError(
+                    f"cannot be locked: {error.strerror}", where=str(path), hint="set TMPDIR to a folder elsewhere"
+                ) from error
             yield False
             return
         with suppress(OSError):
@@ -219,6 +224,7 @@ def held_lock(key: str) -> Iterator[bool]:
 
 
 def _opened(path: Path) -> int:
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # a FIFO of that name would let it wait
     with suppress(PermissionError):  # another user's, in a folder where such files are not created over
-        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
-    return os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        return os.open(path, flags | os.O_CREAT, 0o666)
+    return os.open(path, flags)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import socket
+import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.core.errors import UsageError
-from drivers.core.files import HDF5_SIGNATURE, InputKind, check_input, read_bytes, read_text, size_text
+from drivers.core.errors import InputError, UsageError
+from drivers.core.files import HDF5_SIGNATURE, InputKind, check_input, held_lock, read_bytes, read_text, size_text
 
 SMALL = InputKind("a small file", 100)
 
@@ -100,6 +103,25 @@ def test_any_bytes_are_read_as_they_are_or_refused(tmp_path_factory: pytest.Temp
             read_text(path, SMALL, UsageError)
     else:
         assert read_text(path, SMALL, UsageError) == text
+
+
+def test_a_lock_is_never_waited_for_and_what_cannot_be_locked_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with held_lock("name") as held, held_lock("name") as again:
+        assert (held, again) == (True, False)
+        (lock,) = tmp_path.iterdir()
+    os.mkfifo(lock)
+    with held_lock("name") as held:
+        assert held
+
+    def unlockable(*_: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", unlockable)
+    with pytest.raises(InputError, match=f"{lock}: cannot be locked: No locks available"), held_lock("name"):
+        pass
 
 
 def test_sizes_are_written_as_people_do() -> None:
