@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
@@ -81,7 +79,7 @@ def ordinary_least_squares(reduction: Reduction, active: Sequence[int]) -> Least
     Raises:
         IdentificationError: fewer equations than parameters, or columns that depend on each other.
     """
-    return solve_weighted(reduction, active, _with_rows(reduction).astype(np.float64), "ols")
+    return solve_weighted(reduction, active, (reduction.joint_rows > 0).astype(np.float64), "ols")
 
 
 def weighted_least_squares(
@@ -101,7 +99,7 @@ def weighted_least_squares(
         IdentificationError: as for OLS.
     """
     active = tuple(active)
-    floor, used = rounding_floor(reduction), _with_rows(reduction)
+    floor, used = rounding_floor(reduction), reduction.joint_rows > 0
     weights = used.astype(np.float64) if weights is None else weights
     system = _solved(reduction, active, weights)
     joint_std = residual_deviations(reduction, system.parameters, len(active))
@@ -114,27 +112,15 @@ def weighted_least_squares(
     return replace(_least_squares(reduction, active, weights, system, "wls", iteration), settled=False)
 
 
-def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:
-    """Return whether (n,) each joint has rows in the system."""
-    return np.array([joint.rows > 0 for joint in reduction.joints])
-
-
 def rounding_floor(reduction: Reduction) -> FloatArray:
     """Standard deviations (n,) below which a joint's weight must not follow its residual: noise-free data."""
-    torque = _torques(reduction)
+    torque = reduction.torques
     return np.asarray(RESIDUAL_FLOOR * np.maximum(torque, max(1e-9 * float(np.max(torque)), LEAST_TORQUE)))
-
-
-def _torques(reduction: Reduction) -> FloatArray:
-    """Root mean square (n,) of each joint's torque."""
-    return np.array(
-        [np.linalg.norm(joint.factor[:, len(joint.columns)]) / max(joint.rows, 1) ** 0.5 for joint in reduction.joints]
-    )
 
 
 def inverse_deviations(reduction: Reduction, joint_std: FloatArray) -> FloatArray:
     """Weights (n,) 1/σ of each joint's rows from the deviations σ (n,) of its residual [N·m]; 0 without rows."""
-    return np.where(_with_rows(reduction), 1.0 / np.maximum(joint_std, rounding_floor(reduction)), 0.0)
+    return np.where(reduction.joint_rows > 0, 1.0 / np.maximum(joint_std, rounding_floor(reduction)), 0.0)
 
 
 def residual_deviations(reduction: Reduction, parameters: FloatArray, count: int) -> FloatArray:
@@ -143,15 +129,13 @@ def residual_deviations(reduction: Reduction, parameters: FloatArray, count: int
     A joint with hardly more equations than columns of its own is fitted beyond its noise, and its weight would grow
     without end: the fewer it has, the less its deviation falls below the joints' common share of the torque.
     """
-    rows = np.array([joint.rows for joint in reduction.joints])
+    rows, square = reduction.joint_rows, reduction.torques**2
     freedom = np.maximum(rows * (reduction.rows - count) / reduction.rows, 1.0)
     variance = reduction.residual_sums(parameters) / freedom
-    seen = Counter(column for joint in reduction.joints if joint.rows for column in joint.columns)
-    own = np.array([sum(seen[column] == 1 for column in joint.columns) for joint in reduction.joints])
-    square = _torques(reduction) ** 2
     shares = np.divide(variance, square, out=np.ones(len(rows)), where=square > 0.0)
     common = np.exp(np.average(np.log(np.maximum(shares, RESIDUAL_FLOOR**2)), weights=rows)) * square
-    added = (FITTED_PER_COLUMN * own) ** 3 / np.maximum(rows, 1) ** 2  # equations that speak for the common share
+    # Equations that speak for the common share.
+    added = (FITTED_PER_COLUMN * reduction.own_columns) ** 3 / np.maximum(rows, 1.0) ** 2
     return np.asarray(np.sqrt(variance + np.maximum(common - variance, 0.0) * added / (freedom + added)))
 
 

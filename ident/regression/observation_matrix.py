@@ -7,6 +7,7 @@ squares with per-joint weights, subset selection and residual norms need. Factor
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -82,6 +83,23 @@ class Reduction:
             block[:, self.column_count :] = joint.factor[:, width:]
             blocks.append(block)
         return np.vstack(blocks)
+
+    @cached_property
+    def joint_rows(self) -> FloatArray:
+        """Number (n,) of each joint's rows."""
+        return np.array([float(joint.rows) for joint in self.joints])
+
+    @cached_property
+    def own_columns(self) -> FloatArray:
+        """Number (n,) of columns that act on each joint and on no other."""
+        seen = Counter(column for joint in self.joints if joint.rows for column in joint.columns)
+        return np.array([float(sum(seen[column] == 1 for column in joint.columns)) for joint in self.joints])
+
+    @cached_property
+    def torques(self) -> FloatArray:
+        """Root mean square (n,) of each joint's first torque [N·m or N]."""
+        lengths = [np.linalg.norm(joint.factor[:, len(joint.columns)]) for joint in self.joints]
+        return np.array(lengths) / np.sqrt(np.maximum(self.joint_rows, 1.0))
 
     def residual_sums(self, parameters: FloatArray) -> FloatArray:
         """Sum of squared residuals (n,) of the first torque, joint by joint, for base parameters (b,)."""
