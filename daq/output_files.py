@@ -30,8 +30,8 @@ DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 GENERATION_KEY = "files"
 """Key of a result's JSON object: the SHA-256 of each file that was written with it."""
 
-OWN_HASH = "content"
-"""Among these, that of the object itself."""
+OWN_HASH = "sha256"
+"""Key of the object's own SHA-256, of what it says beside these two keys."""
 
 _UNFINISHED = ".unfinished-"
 _LARGEST_PAGE = 100_000_000  # bytes, far above any page that dynid writes
@@ -250,20 +250,24 @@ def with_hashes(text: str, others: Mapping[str, str]) -> str:
     """The text of a JSON object with its SHA-256 and those of the files written with it, for `strange_files`."""
     if not text.startswith("{"):
         return text
-    hashes = {OWN_HASH: content_hash(json.loads(text)), **hashes_of(others)}
-    return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)
+    hashes = {OWN_HASH: content_hash(json.loads(text)), GENERATION_KEY: hashes_of(others)}
+    return text.replace("{", f"{{\n {json.dumps(hashes)[1:-1]},", 1)
 
 
 def content_hash(content: Mapping[str, object]) -> str:
-    """SHA-256 of a JSON object, however it is formatted, without the hashes in it."""
-    own = {key: value for key, value in content.items() if key != GENERATION_KEY}
-    return _hash(json.dumps(own, sort_keys=True, ensure_ascii=False).encode(errors="surrogatepass"))
+    """SHA-256 of a JSON object without the hashes in it, the same for any order of its keys, and for 1, 1.0 and 1e0."""
+    text = json.dumps({key: value for key, value in content.items() if key not in (OWN_HASH, GENERATION_KEY)})
+    own = json.loads(text, parse_int=_number, parse_float=_number)
+    return _hash(json.dumps(own, sort_keys=True).encode())
+
+
+def _number(text: str) -> float:
+    return float(text) + 0.0  # -0.0 becomes 0.0, which JavaScript writes for it
 
 
 def was_changed(content: Mapping[str, object]) -> bool:
     """Whether a JSON object is another than dynid wrote; without its hash, it is taken as it is."""
-    hashes = content.get(GENERATION_KEY)
-    return isinstance(hashes, dict) and hashes.get(OWN_HASH, content_hash(content)) != content_hash(content)
+    return OWN_HASH in content and content[OWN_HASH] != content_hash(content)
 
 
 def hashes_of(texts: Mapping[str, str]) -> dict[str, str]:
@@ -287,8 +291,6 @@ def strange_files(path: Path, content: Mapping[str, object]) -> list[str]:
     hashes = content.get(GENERATION_KEY)
     strange = []
     for name, written in hashes.items() if isinstance(hashes, dict) else ():
-        if name == OWN_HASH:
-            continue
         file = path.with_name(Path(str(name)).name or "-")
         with suppress(OSError, ValueError):  # it was not copied along; a NUL in its name
             if file.is_file() and (file.stat().st_size > _LARGEST_PAGE or _hash(file.read_bytes()) != written):

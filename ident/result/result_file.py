@@ -102,7 +102,7 @@ def read_content(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         return {}
     if was_changed(content):
-        hint = "identify again; if the change is meant, delete 'content' of 'files' in it"
+        hint = "identify again; if the change is meant, delete 'sha256' in it"
         raise ResultFileError("was changed after dynid wrote it: its verdict may not hold", where=str(path), hint=hint)
     return content
 

@@ -33,8 +33,8 @@ PORT = 8797
 STARTING = 300
 """[s] that a scheduler may take to listen."""
 
-CHANGING = {"created", "recordings", "files", "verdict"}
-"""Keys of a result that carry dates and paths."""
+CHANGING = {"created", "recordings", "files", "sha256", "verdict"}
+"""Keys of a result that carry dates and paths, and the hash of it all."""
 
 
 def recorded(folder: Path, arms: int, seconds: float) -> int:

@@ -26,6 +26,8 @@ from daq.output_files import (
     take_place,
     unfinished_files,
     unfinished_name,
+    was_changed,
+    with_hashes,
     write_folder,
     written_together,
 )
@@ -269,6 +271,25 @@ def test_files_of_two_generations_are_told_and_the_next_writer_heals_them(tmp_pa
     assert strange() == []
     os.mkfifo(folder / "report.html")
     assert strange() == []
+
+
+def javascript(number: str) -> float:
+    """As `JSON.parse` and `JSON.stringify` give it back: whole numbers without a point, no negative zero."""
+    value = float(number)
+    return int(value) if value.is_integer() else value
+
+
+def test_a_result_saved_again_is_the_same_and_one_with_another_value_is_not():
+    text = json.dumps({"b": [1.0, -0.0, 0.1, 1e300, 1e-7, 3], "a": {"é\ud800": True, "z": None}, "1": "1.0"})
+    written = with_hashes(text, {"report.html": "page"})
+    content = json.loads(written, parse_float=javascript)
+    backwards = dict(reversed(content.items()))
+    for order, ascii_only, own in itertools.product((False, True), (False, True), (json.loads(written), backwards)):
+        again = json.loads(json.dumps(own, sort_keys=order, ensure_ascii=ascii_only))
+        assert not was_changed(again)
+        for change in ({"b": content["b"][::-1]}, {"1": 1.0}, {"a": {}}, {"c": 0}, {"sha256": None}):
+            assert was_changed(again | change), change
+    assert not was_changed(json.loads(text))
 
 
 def test_an_output_that_another_program_writes_is_refused_until_that_is_dead(tmp_path: Path):

@@ -21,8 +21,7 @@ def test_a_result_is_saved_and_read_back(result, tmp_path):
     folder = tmp_path / "model"
     result.save(folder)
     assert {path.name for path in folder.iterdir()} == {"result.json", "report.html"}
-    written = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    assert json.loads(result.to_json()) == {key: value for key, value in written.items() if key != "files"}
+    assert json.loads(result.to_json()) == stored(folder / "result.json")
     again = dynid.load_result(folder / "result.json")
     assert again.verdict == result.verdict
     q = np.linspace(-1, 1, 6)
@@ -38,8 +37,13 @@ def test_a_result_that_was_changed_is_refused_by_all_that_read_it(result, tmp_pa
     file = tmp_path / "result.json"
     text = file.read_text(encoding="utf-8")
     written = json.loads(text)
-    file.write_text(json.dumps(written, indent=5, sort_keys=True), encoding="utf-8")
-    assert dynid.load_result(tmp_path).verdict == result.verdict
+    short = json.loads(
+        text, parse_float=lambda number: int(float(number)) if float(number).is_integer() else float(number)
+    )
+    for same in (json.dumps(written, indent=5, sort_keys=True), json.dumps(short)):
+        assert same != text
+        file.write_text(same, encoding="utf-8")
+        assert dynid.load_result(tmp_path).verdict == result.verdict
     first, second = written["joints"][:2]
     swaps = [text.replace(f'"{first}"', "@").replace(f'"{second}"', f'"{first}"').replace("@", f'"{second}"')]
     for key in ("joints", "base_parameters", "standard_parameters", "friction"):

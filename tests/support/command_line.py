@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from daq.output_files import GENERATION_KEY
+from daq.output_files import GENERATION_KEY, OWN_HASH
 from dynid import command
 
 
@@ -25,6 +25,6 @@ def run(
 
 
 def stored(path: Path) -> dict[str, Any]:
-    """The object of a JSON file, without the hashes of the files written with it."""
+    """The object of a JSON file, without its hash and those of the files written with it."""
     content = json.loads(path.read_text(encoding="utf-8"))
-    return {key: value for key, value in content.items() if key != GENERATION_KEY}
+    return {key: value for key, value in content.items() if key not in (OWN_HASH, GENERATION_KEY)}

@@ -172,7 +172,7 @@ def test_identify_json_is_the_result_and_nothing_else(run_dynid, folder):
     assert status == 0
     printed = json.loads(out)
     written = json.loads((folder / "asjson" / "result.json").read_text())
-    assert written["files"].keys() == {"content", "report.html"}
+    assert written["files"].keys() == {"report.html"}
     assert printed == written
     assert printed["method"] == "ols"
     assert "last 30 %" in printed["validation_source"]
