@@ -191,14 +191,14 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
     return Recording(
         path=path,
         part=part,
-        robot_text=str(attributes.get("robot", "")),
-        urdf_text=str(attributes.get("urdf", "")),
-        created=str(attributes.get("created", "")),
-        versions=_read_versions(attributes.get("versions", "{}")),
-        trajectory=str(attributes.get("trajectory", "")),
+        robot_text=_text(file, "robot"),
+        urdf_text=_text(file, "urdf"),
+        created=_text(file, "created"),
+        versions=_read_versions(_text(file, "versions")),
+        trajectory=_text(file, "trajectory"),
         speed_scale=_read_speed_scale(attributes.get("speed_scale", 1.0)),
-        host=str(attributes.get("host", "")),
-        comment=str(attributes.get("comment", "")),
+        host=_text(file, "host"),
+        comment=_text(file, "comment"),
         complete=bool(attributes.get("complete", False)),
         streams=streams,
         events=tuple(
@@ -207,6 +207,19 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
             if part is None or math.isnan(event.time) or within[0] <= event.time < within[1]
         ),
     )
+
+
+def _text(owner: Any, name: str) -> str:
+    """An attribute of a file, a group or a dataset as text; empty where there is none."""
+    value = owner.attrs.get(name, "")
+    try:
+        return value.decode() if isinstance(value, bytes) else str(value).encode().decode()
+    except UnicodeError as error:
+        raise RecordingError(
+            f"its attribute '{name}' holds text that is not UTF-8",
+            where=f"{owner.file.filename}: {owner.name}",
+            hint="write the attribute again, as UTF-8",
+        ) from error
 
 
 def _read_speed_scale(value: Any) -> float:
@@ -218,9 +231,9 @@ def _read_speed_scale(value: Any) -> float:
     return scale if 0.0 < scale <= 1.0 else 1.0
 
 
-def _read_versions(text: Any) -> dict[str, str]:
+def _read_versions(text: str) -> dict[str, str]:
     try:
-        versions = parsed_json(str(text))
+        versions = parsed_json(text)
     except ValueError:
         return {}
     return {str(key): str(value) for key, value in versions.items()} if isinstance(versions, dict) else {}
@@ -270,14 +283,14 @@ def _read_stream(group: Any, where: str, within: tuple[float, float]) -> Stream:
             values=np.asarray(dataset[rows], dtype=np.float64),
             unit=_unit(dataset, where),
             columns=columns,
-            description=str(dataset.attrs.get("description", "")),
+            description=_text(dataset, "description"),
             magnitude=bool(dataset.attrs.get("magnitude", False)),
         )
     return Stream(name=group.name.rsplit("/", 1)[-1], time=time, host_time=host_time, channels=channels)
 
 
 def _unit(dataset: Any, where: str) -> str:
-    unit, quantity = str(dataset.attrs.get("unit", "")), dataset.name.rsplit("/", 1)[-1]
+    unit, quantity = _text(dataset, "unit"), dataset.name.rsplit("/", 1)[-1]
     known = normalised(unit)
     if quantity in UNITS and known in FACTORS and conversion(known) != (1.0, 0.0):
         raise RecordingError(

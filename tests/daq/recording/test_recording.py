@@ -217,6 +217,9 @@ def without(name: str, instead: np.ndarray | None = None) -> Callable[[h5py.File
     return damage
 
 
+NOT_UTF8 = np.array(b"Gel\xe9nk", dtype=h5py.string_dtype())
+
+
 def with_attribute(name: str, key: str, value: object) -> Callable[[h5py.File], None]:
     return lambda file: file[name].attrs.__setitem__(key, value)
 
@@ -280,6 +283,19 @@ def test_what_is_no_whole_file_is_refused(tmp_path: Path, damage: Callable[[Path
             r"'force' has .* type complex128",
         ),
         (without("events", np.zeros(3)), "is damaged"),
+        *(
+            (
+                with_attribute(place, key, text),
+                f"{place}: its attribute '{key}' holds text that is not UTF-8 .write the attribute again",
+            )
+            for place, keys in {"/": ("robot", "urdf", "comment", "versions"), f"/{JOINTS}/position": ("unit",)}.items()
+            for key in keys
+            for text in (np.bytes_(b"Gel\xe9nk"), NOT_UTF8)
+        ),
+        (
+            with_attribute(f"{JOINTS}/position", "joints", np.stack([NOT_UTF8, NOT_UTF8])),
+            r"'Gel.*' holds the character \\udce9",
+        ),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, damage: Callable[[h5py.File], None], message: str) -> None:
