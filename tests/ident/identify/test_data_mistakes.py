@@ -16,8 +16,10 @@ from random_arms import random_arm
 
 import dynid
 from daq.recording.recording import Recording
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from ident.identify.checks.residual_bursts import REVERSAL, _away_from_gaps
-from ident.identify.data_split import PreparedRun
+from ident.identify.data_split import PreparedRun, RunWindow, check_motion
 from ident.model.dynamic_model import build_model
 from ident.regression.comparison import TorqueSeries
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -120,3 +122,28 @@ def test_drop_outs_that_were_filled_with_zeros_are_named() -> None:
     result = dynid.identify(filled_with_zeros(sound("rocr6"), 0.5, 1))
     assert checks(result) & (DATA_CHECKS | MODEL_CHECKS) == {"filled-with-zeros"}
     assert "poor" in result.verdict.headline.lower()
+
+
+@pytest.mark.parametrize("rate", [5.0, 8.0, 20.0, 100.0, 500.0])
+def test_rows_are_refused_in_disorder_only_however_slowly_they_were_sampled(rate: float) -> None:
+    generator = np.random.default_rng(int(rate))
+    time, periods, sorted_ones = np.arange(300) / rate, generator.uniform(1.6, 5.0, 20), 0
+    for period in periods:
+        angles = 2.0 * np.pi / period * np.arange(1, 6)[:, None] * time[:, None, None]
+        angles = angles + generator.uniform(0.0, 2.0 * np.pi, (5, 3))
+        position = np.einsum("hj,thj->tj", generator.standard_normal((5, 3)), np.sin(angles))
+        assert not out_of_order(time, position)
+        assert out_of_order(time, position[generator.permutation(300)])
+        torque = position[:, 0] + 0.1 * generator.standard_normal(300)
+        sorted_ones += out_of_order(time, position[np.argsort(torque)])
+    assert sorted_ones >= 0.9 * len(periods) or time[-1] < max(periods)  # within a period few rows have like torques
+
+
+def out_of_order(time: FloatArray, position: FloatArray) -> bool:
+    """Whether `check_motion` refuses rows whose stamps rise."""
+    run = SimpleNamespace(time=time, position=position, signals=SimpleNamespace(label="run"))
+    try:
+        check_motion([cast("RunWindow", run)], ["a1", "a2", "a3"])
+    except DataError as error:
+        return "order of time" in error.hint
+    return False
