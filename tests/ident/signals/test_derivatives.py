@@ -132,6 +132,13 @@ def test_cutoffs_that_do_not_fit_are_refused(choices: dict[str, tuple[float, ...
         prepare(recorded(), PreprocessChoices(differentiation="kalman", **choices))  # type: ignore[arg-type]
 
 
+def test_stated_noise_levels_are_those_of_all_joints_and_of_the_next_recording() -> None:
+    prepared = prepare(recorded(), PreprocessChoices(differentiation="kalman", kalman_noise=(2e5, 1e-9)))
+    cutoff = (2e5 * RATE / 1e-9) ** 0.125 / (2 * np.pi)
+    assert prepared.choices.joint_cutoffs == pytest.approx((cutoff, cutoff))
+    assert prepare(recorded(seed=1), prepared.choices).choices.joint_cutoffs == prepared.choices.joint_cutoffs
+
+
 @each(
     ("choices", "words"),
     [

@@ -28,10 +28,7 @@ errors = st.none() | st.builds(
 )
 checks = st.lists(
     st.builds(
-        raised,
-        st.sampled_from(sorted(CATALOGUE)),
-        st.text("abc", min_size=1, max_size=5),
-        st.lists(st.sampled_from(JOINTS)),
+        raised, st.sampled_from(sorted(CATALOGUE)), st.text(min_size=1, max_size=5), st.lists(st.sampled_from(JOINTS))
     ),
     max_size=6,
 )

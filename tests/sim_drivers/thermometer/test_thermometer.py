@@ -154,6 +154,7 @@ def test_it_is_unplugged_until_it_is_plugged_in_and_has_no_other_faults(
         server.obey("replug")
         rows, _, notices = listen(driver, clock, 1.3)
         assert messages(notices) == ["the port is open again after 11.0 s, attempt 11"]
+        assert len(rows) > 0
         assert all(row.tolist() == [30.0, 31.0] for row in rows)
         with pytest.raises(UsageError, match="not a fault of the thermometer"):
             server.obey("explode")
