@@ -1,7 +1,7 @@
 """Torques, of one joint or of all, that belong to another time than the positions: by more than a delay of drives.
 
-At instants so far from the ends that every shift is within the recording the normal matrix stays the same, and only its
-right side changes with the shift.
+At instants so far from the ends that every shift is within their recording the normal matrix stays the same, and
+only its right side changes with the shift.
 """
 
 from __future__ import annotations
@@ -31,15 +31,20 @@ def shift_check(competition: Competition) -> list[Check]:
         competition: a recording that nothing explains that is wrong with signs, columns or gravity.
     """
     few, joints = competition.instants, list(competition.joints)
-    span = min(LONGEST, PART * float(np.ptp(few.time)))
-    inside = (few.time >= few.time[0] + span) & (few.time <= few.time[-1] - span)
-    if len(joints) < 2 or np.count_nonzero(inside) < 2 * len(competition.active):
-        return []
+    runs = [here for number in range(len(few.tracks)) if len(here := np.flatnonzero(few.track == number))]
+    span = min(LONGEST, PART * max((float(np.ptp(few.time[here])) for here in runs), default=0.0))
     none = int(span / STEP)
     shifts = STEP * np.arange(-none, none + 1)
-    later = [[np.interp(few.time[inside] + s, few.time, few.torque[joint]) for joint in joints] for s in shifts]
+    later, inside = np.zeros((len(shifts), len(joints), len(few.time))), np.zeros(len(few.time), dtype=bool)
+    for here in runs:
+        time = few.time[here]
+        inside[here] = (time >= time[0] + span) & (time <= time[-1] - span)
+        for number, joint in enumerate(joints):
+            later[:, number, here] = np.interp(time + shifts[:, None], time, few.torque[joint, here])
+    if len(joints) < 2 or np.count_nonzero(inside) < 2 * len(competition.active):
+        return []
     counted = few.counted[joints][:, inside].astype(np.float64)
-    relative, errors = _fits(competition.regressor(few)[joints][:, :, inside], counted, np.array(later))
+    relative, errors = _fits(competition.regressor(few)[joints][:, :, inside], counted, later[:, :, inside])
     levels = np.log(relative + LEAST_ERROR**2).sum(axis=2)
     row, best = (int(index) for index in np.unravel_index(int(np.argmin(levels)), levels.shape))
     level, plain, alone = levels[row, best], levels[0, none], row < len(joints)
@@ -52,10 +57,10 @@ def shift_check(competition: Competition) -> list[Check]:
     ):
         return []
     names = [competition.model.joint_names[joints[row]]] if alone else []
+    what, its = (f"the torque of {names[0]} belongs", "its") if alone else ("all torques belong", "their")
     text = (
-        f"{f'the torque of {names[0]} belongs' if alone else 'all torques belong'} to the motion "
-        f"{abs(shifts[best]):.2f} s {'before' if shifts[best] > 0 else 'after'} its stamps: this explains the data, "
-        "unlike what was recorded; check how torque and position are stamped and merged"
+        f"{what} to the motion {abs(shifts[best]):.2f} s {'before' if shifts[best] > 0 else 'after'} {its} stamps: "
+        "this explains the data, unlike what was recorded; check how torque and position are stamped and merged"
     )
     return [raised("torque-shifted", text, names)]
 

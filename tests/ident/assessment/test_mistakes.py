@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, on_active
 from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
 from ident.assessment.mistakes.ripple import less_ripples, ripple_checks
+from ident.assessment.mistakes.shifts import shift_check
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.torque_level import _small_beside, torque_level_checks, weight_checks
 from ident.identify.identification import Identification, IdentifyChoices
@@ -240,6 +242,22 @@ def test_a_ripple_of_a_position_is_named_with_its_size_and_one_of_the_torque_is_
     for size in (0.0, 0.1, 1.0):
         torque = sound.torque + size * wave * (np.arange(3) == joint)[:, None]
         assert ripple_checks(competition(found, replace(sound, torque=torque))) == []
+
+
+@pytest.mark.parametrize("joints", [(1,), (0, 1, 2)])
+@pytest.mark.parametrize("recordings", [1, 2])
+def test_torques_of_another_time_are_named_however_many_recordings_there_are(found, recordings, joints):
+    kernel = RegressorKernel(found.model, found.base.columns)
+    few = instants(kernel, [run.prepared for run in found.runs] * recordings)
+    few = replace(few, time=few.time + 1.3 * few.track)
+    assert not shift_check(competition(found, few))
+    torque = few.torque.copy()
+    for joint, track in product(joints, range(recordings)):
+        here = few.track == track
+        torque[joint, here] = np.interp(few.time[here] - 0.5, few.time[here], few.torque[joint, here])
+    (check,) = shift_check(competition(found, replace(few, torque=torque)))
+    assert f"0.50 s before {'its' if joints == (1,) else 'their'} stamps" in check.text
+    assert check.joints == (() if joints[1:] else (found.model.joint_names[1],))
 
 
 def test_blocks_cover_the_recording(found):
