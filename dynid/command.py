@@ -169,7 +169,9 @@ def _status(as_json: bool) -> int:
             warnings.simplefilter("always", DynidWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
             for argument in sys.argv[1:]:
-                check_utf8(os.path.basename(argument), UsageError)
+                # A path may lead through folders of any name: what is written holds file names alone.
+                folder, name = os.path.split(argument)
+                check_utf8(name if os.path.isdir(folder.partition("=")[2] or folder) else argument, UsageError)
             status = build_app(*sys.argv[1:2])(prog_name="dynid", standalone_mode=False)
     except DynidError as error:
         report_error(error, as_json)

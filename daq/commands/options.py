@@ -66,7 +66,7 @@ _TYPES = {"bool": bool, "int": int, "float": float, "Path": Path}
 
 
 def out_option(written: str, default: Any = None) -> Path:
-    """`-o`, `--out` of a command; what is written in words, with where it goes without the option; `...`: needed."""
+    """`-o`, `--out` of a command. `written`: help text, with the default place; `default=...` makes it required."""
     path: Path = typer.Option(default, "-o", "--out", help=written)
     return path
 

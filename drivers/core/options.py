@@ -19,8 +19,8 @@ from functools import wraps
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, cast
 
-from drivers.core.blas import numerical_settings
 from drivers.core.errors import ArgumentError, DynidError, UsageError
+from drivers.core.numerics import numerical_settings
 from drivers.core.ranges import Range, check_option
 from drivers.core.text import did_you_mean
 

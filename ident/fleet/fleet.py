@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from daq.output_files import REPORT_FILE, check_output_folder, replace_files
-from drivers.core.blas import numerical_settings
 from drivers.core.child_process import end_with_parent, started_without_main
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.cluster import cluster_executor, why_lost
 from drivers.core.errors import UsageError
 from drivers.core.files import path_of
+from drivers.core.numerics import numerical_settings
 from drivers.core.reading_process import Progress
 from drivers.core.text import in_percent, parsed_json
 from ident.fleet.job import JobOutcome, finished, run_job

@@ -91,6 +91,7 @@ def read_entry(content: Mapping[str, Any], path: Path, recorded: datetime | None
     if not values:
         raise ResultFileError("has no parameter with a standard deviation", where=str(path))
     digest = content_hash(content)
+    # Without recordings nothing shows two results to be of the same data: each counts as its own.
     recordings = sorted(recording.sha256 for recording in used)
     return HistoryEntry(
         digest=digest,

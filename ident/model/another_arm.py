@@ -34,7 +34,9 @@ def another_arm(own: RobotFile, theirs: RobotFile) -> str:
         for part in ("rotation", "translation", "axis"):
             same = same and np.allclose(getattr(joint, part), getattr(other, part), atol=SAME_PLACE)
         if not same:
-            return f"is of {second.name}, whose joint {other.name} is placed differently than in {first.name}"
+            than = f" than in {first.name}" if second.name != first.name else ""
+            which = second.name if than else f"another {second.name}"
+            return f"is of {which}, whose joint {other.name} is placed differently{than}"
     return ""
 
 

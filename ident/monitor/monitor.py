@@ -11,13 +11,14 @@ from daq.recording.recording import Recording
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from drivers.core.errors import DataError
 from drivers.core.units import ZERO_CELSIUS
-from ident.model.another_arm import another_arm
+from ident.model.another_arm import check_arm
 from ident.model.dynamics.link_jacobian import LinkJacobians
 from ident.monitor.choices import BANDWIDTH, Kind
 from ident.monitor.contact_forces import Wrench, tool_wrench
 from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, rows_of
 from ident.monitor.load_estimate import LoadEstimator, ToolLoad
 from ident.monitor.thresholds import REST, SETTLING, STD_EVERY, Thresholds, learn
+from ident.result.graded import robots_of
 from ident.result.models.model import Model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.resampling import check_stamps, measure_irregularity
@@ -206,8 +207,7 @@ def joint_samples(model: Model, recording: Recording) -> JointSamples:
     Raises:
         DataError: it lacks positions, a torque, a joint or a gain, its time goes backwards, or it is of another arm.
     """
-    if recording.robot_text and (said := another_arm(model.stored.robot_file, recording.robot())):
-        raise DataError(said, where=recording.label, hint="give a recording of the arm that was identified")
+    check_arm([recording], model.stored.robot_file, robots_of(model.result.recordings))
     signals = read_joint_signals(recording, model.stored.robot_file.robot)
     try:
         check_stamps(signals.time)  # a contact at a time that comes twice could not be found again

@@ -228,7 +228,7 @@ class PredictOptions(Options):
             "recording",
             "Recording of the same arm (.h5), or a trajectory file (.yaml).",
             meaning="a recording of the same arm, or its path; without a recorded torque there is no residual. Or the "
-            "path of a trajectory file, whose motion is followed exactly.",
+            "path of a trajectory file: as if the arm followed it exactly; filtered as at the identification.",
             command_type=Path,
         )
     )

@@ -252,7 +252,7 @@ def predict(options: PredictOptions) -> Prediction:
 def _planned(trajectory: str | PathLike[str], robot_file: RobotFile) -> Recording:
     """The motion of a trajectory file as if an arm had followed it exactly: positions and velocities, no torque."""
     motion = load_trajectory(trajectory, robot_file)
-    time = np.arange(int(motion.duration * PLANNED_RATE) + 1) / PLANNED_RATE
+    time = np.arange(int(motion.duration * PLANNED_RATE + 1e-6) + 1) / PLANNED_RATE
     position, velocity, _ = motion.evaluate(time)
     return replace(
         Recording.from_dict(robot_file, {"t": time, "q": position, "dq": velocity}), path=path_of(trajectory)

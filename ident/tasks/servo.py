@@ -148,7 +148,7 @@ class ServoModel(GradedResult):
             DataError: it lasts less than 3 s.
         """
         motion = load_trajectory(trajectory, self._robot)
-        time = np.arange(int(motion.duration * CSV_RATE) + 1) / CSV_RATE
+        time = np.arange(int(motion.duration * CSV_RATE + 1e-6) + 1) / CSV_RATE
         return self.simulate(time, motion.evaluate(time)[0])
 
     def validate(self, runs: Runs, *, model_file: str | PathLike[str] | None = None) -> ServoModel:

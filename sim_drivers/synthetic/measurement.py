@@ -16,8 +16,8 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.loops import coupling_matrix
 from drivers.core.arrays import FloatArray
-from drivers.core.blas import numerical_settings
 from drivers.core.errors import UsageError
+from drivers.core.numerics import numerical_settings
 from drivers.core.software import software_versions
 from drivers.core.units import ZERO_CELSIUS
 from drivers.streams import UNITS

@@ -114,6 +114,7 @@ def test_tab_completes(run_dynid, monkeypatch, tmp_path, words, expected):
         ["robot", "show"],
         ["info", "--rate"],
         ["info", "a\udcff"],
+        ["import", "x.csv", "--robot", "ur5e", "--comment", "a\udcff/b"],
         ["recover", "."],
     ],
 )

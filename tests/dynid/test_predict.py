@@ -72,13 +72,14 @@ def test_an_external_torque_appears_in_the_residual_with_the_sign_that_is_writte
 def test_the_torque_of_a_planned_motion_is_that_along_its_trajectory(result, tmp_path):
     path = tmp_path / "motion.yaml"
     path.write_text(
-        "robot: ur5e\nkind: points\npoints: [[0, -1.2, 1, -1, -1, 0], [0.5, -0.8, 0.4, -2, 0, 1]]\ndurations: [4]\n"
+        "robot: ur5e\nkind: points\npoints: [[0, -1.2, 1, -1, -1, 0], [0.5, -0.8, 0.4, -2, 0, 1]]\ndurations: [4.02]\n"
     )
     planned = dynid.predict(result, path)
     position, velocity, acceleration = dynid.load_trajectory(path, "ur5e").evaluate(planned.time)
     exact = result.model.torque(position, velocity, acceleration)
     moving = np.abs(velocity).min(axis=1) > 0.01  # at rest the sign of the velocity is rounding
     np.testing.assert_allclose(planned.torque[moving], exact[moving], atol=0.01 * np.abs(exact).max())
+    assert planned.time[0] + planned.time[-1] == pytest.approx(4.02)  # the filter takes as much from both ends
     assert planned.residual is None
     assert "motion.yaml" in planned.summary.title
 

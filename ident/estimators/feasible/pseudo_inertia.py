@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError
 from ident.model.parameters import INERTIAL
 from ident.stored import Stored, Value
 
@@ -66,9 +67,15 @@ class Body(Stored):
 
 
 def body_of(link: FloatArray) -> Body:
-    """The body that ten standard parameters (10,) with a positive mass describe."""
+    """The body that ten standard parameters (10,) describe.
+
+    Raises:
+        ModelError: its mass is not positive.
+    """
     pseudo = pseudo_inertia(link)
     mass = float(pseudo[3, 3])
+    if not mass > 0.0:
+        raise ModelError(f"a link of {mass:g} kg has no centre of mass", hint="identify again")
     com = pseudo[:3, 3] / mass
     central = pseudo[:3, :3] - mass * np.outer(com, com)
     inertia = np.trace(central) * np.eye(3) - central

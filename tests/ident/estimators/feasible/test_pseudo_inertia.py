@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from each import each
 
+from drivers.core.errors import ModelError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia, standard_parameters
 from ident.model.parameters import link_parameters
 
@@ -35,6 +37,9 @@ def test_a_body_has_its_link_s_parameters(seed: int) -> None:
     xx, xy, xz, yy, yz, zz = body.inertia.values()
     again = link_parameters(body.mass, tuple(body.com), (xx, xy, xz, yy, yz, zz))
     np.testing.assert_allclose(again, link, rtol=1e-10, atol=1e-10)
+    for mass in (0.0, -1.0, np.nan):
+        with pytest.raises(ModelError, match=rf"a link of {mass:g} kg has no centre of mass"):
+            body_of(np.array([*link[:-1], mass]))
 
 
 def test_it_is_definite_exactly_where_the_triangle_inequalities_hold() -> None:
