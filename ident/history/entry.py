@@ -26,6 +26,8 @@ EARLIEST = datetime(2000, 1, 1, tzinfo=UTC)
 CLOCKS_APART = timedelta(hours=1)
 """By which the clock of a recording may be ahead of this computer's."""
 
+_STATE_TIME = "state its time: dynid history add RESULT --history FILE --time 2026-05-01T12:00, in Python time="
+
 
 @dataclass(frozen=True)
 class KeptValue:
@@ -132,12 +134,10 @@ def _time(used: Sequence[UsedRecording], path: Path) -> float:
             raise ResultFileError(
                 f"does not state when '{recording.file}' was recorded: {said}",
                 where=str(path),
-                hint="identify again with this version of dynid, or give --time 2026-05-01T12:00",
+                hint=f"identify again with this version of dynid, or {_STATE_TIME}",
             ) from None
     if not starts:
-        raise ResultFileError(
-            "names no recording, so its time is not known", where=str(path), hint="give --time 2026-05-01T12:00"
-        )
+        raise ResultFileError("names no recording, so its time is not known", where=str(path), hint=_STATE_TIME)
     return sum(starts) / len(starts)
 
 
@@ -145,7 +145,7 @@ def _plausible(time: datetime, path: Path) -> float:
     if not EARLIEST <= time <= datetime.now(UTC) + CLOCKS_APART:
         shown = time.isoformat(timespec="minutes")
         said = "was recorded in the future" if time > EARLIEST else "was recorded with a clock that was not set"
-        raise ResultFileError(f"{said}: {shown}", where=str(path), hint="give --time 2026-05-01T12:00")
+        raise ResultFileError(f"{said}: {shown}", where=str(path), hint=_STATE_TIME)
     return time.timestamp()
 
 

@@ -232,6 +232,7 @@ BAD = [
     # recordings
     (["info", "missing.h5"], ["missing.h5", "no such file"]),
     (["info", "."], ["is a folder, not a file"]),
+    (["recover", "."], ["is a folder, not a file (name a recording in it)"]),
     (["info", "text.h5"], ["is not an HDF5 file", "dynid import"]),
     (["info", "empty.h5"], ["empty.h5"]),
     (["info", "cut.h5"], ["cut.h5", "truncated"]),
