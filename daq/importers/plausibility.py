@@ -73,11 +73,11 @@ def _check_positions(
         excess = np.maximum(values - high, low - values)
         worst = int(excess.argmax())
         if limits.name in sliding:
-            if other_unit(samples.time, values, limits):
+            if unit := other_unit(samples.time, values, limits):
                 raise ImportFileError(
-                    f"position {values[worst]:.4g} m is far outside the joint's limits; it looks like mm",
+                    f"position {values[worst]:.4g} m is far outside the joint's limits; it looks like {unit}",
                     where=f"{sample_place(samples, worst, where)}, joint {limits.name}",
-                    hint="state the unit in the header: q1 [mm]",
+                    hint="state the unit in the header: q1 [mm]" if unit == "mm" else "convert them to m first",
                 )
         else:
             reach = max(abs(low), abs(high)) + 2 * math.pi

@@ -24,7 +24,7 @@ BEYOND_SPEED = 25.0
 """Speed over its limit from which on positions are in degrees or millimetres: a wrong rate hardly makes so much."""
 
 COUNTS = 3.0
-"""The same in degrees or millimetres, from which on positions are in encoder counts."""
+"""Speed, read as degrees or millimetres, over its limit, from which on positions are encoder counts."""
 
 SPEED_QUANTILE = 0.95
 """Quantile of the speeds that counts: encoders that wrap jump."""

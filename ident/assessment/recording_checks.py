@@ -197,7 +197,7 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
 
 
 def unit_checks(recording: Recording, of: str = "") -> list[Check]:
-    """Positions that are in degrees or millimetres by the joints' limits; `of` begins the sentence."""
+    """Positions that are in degrees, millimetres or encoder counts by the joints' limits; `of` begins the sentence."""
     stream = recording.streams.get(JOINTS_STREAM)
     if not recording.robot_text or stream is None or "position" not in stream.channels:
         return []

@@ -78,8 +78,8 @@ _MODEL = (
     ),
     wrong(
         "motors-coupled",
-        "the recorded torques belong to coupled motors",
-        "State `model.coupling` in the robot file, or record the joints' own torques and positions.",
+        "the recorded torques, positions or both are those of coupled motors",
+        "For torques, state `model.coupling` in the robot file; convert positions to the joints' own.",
     ),
     wrong(
         "sign-or-column",

@@ -44,8 +44,8 @@ RECORDING = (
     ),
     wrong(
         "position-unit",
-        "positions are in degrees or millimetres",
-        "Convert them, import with --degrees, or correct the robot file's limits.",
+        "positions are in degrees, millimetres or encoder counts",
+        "Convert them to rad (or m), degrees by --degrees at import, or correct the robot file's limits.",
     ),
     wrong(
         "position-jump",
@@ -62,7 +62,7 @@ RECORDING = (
         "no torque changes with the motion",
         "The column may be another quantity, such as a temperature: --column torque=NAME.",
     ),
-    CheckKind("same-column", "mistake", "serious", ALL, "two joints have the same torque", "Check the column names."),
+    wrong("same-column", "two joints have the same torque", "Check the column names."),
     wrong(
         "torque-frozen",
         "a motor signal stands still while its joint moves",

@@ -136,10 +136,11 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
         first.coupling
         and len({one.joints if one.coupling else None for one in found}) <= len(joints) == len(names) == 2
     ):
+        signals = list(dict.fromkeys(one.signal for one in found if one.coupling))
         text = (
-            f"the motors of {' and '.join(names)} seem to be coupled, so that one also turns with the other joint (by "
-            f"a factor of 1 or -1): this explains the data, unlike what was recorded; {_REMEDIES[first.name]}, or "
-            "check whether positions and torques are the joints' own"
+            f"{' or '.join(_IN_COLUMNS[signal] for signal in signals)} of {' and '.join(names)} seem to be those of "
+            "coupled motors, of which one also turns with the other joint (by a factor of 1 or -1): this explains the "
+            f"data, unlike what was recorded; {', or '.join(_UNCOUPLED[signal] for signal in signals)}"
         )
         return raised(first.name, text, names)
     if len(found) == 1 and not turns:
@@ -170,7 +171,8 @@ def _clause(model: DynamicModel, one: Mistake) -> str:
     names = " and ".join(model.joint_names[joint] for joint in one.joints)
     factor, torque = 1.0 / max(one.positions.factor, key=_size), 1.0 / max(one.torques.factor, key=_size)
     too = f" and its torque {torque:.3g} times" if torque != 1.0 else ""
-    clause = _CLAUSES[one.name].format(joints=names, factor=factor, too=too)
+    values = {"joints": names, "factor": factor, "too": too, "columns": _IN_COLUMNS.get(one.signal)}
+    clause = _CLAUSES[one.name].format(**values)
     each = one.name in ("torque-sign", "position-scaled") and one.joints[1:]
     return clause.replace("the ", "each ", 1) if each else clause
 
@@ -184,7 +186,7 @@ EQUAL = 0.1
 
 _IN_COLUMNS = {"torque": "the torques", "position": "the positions", "both": "positions and torques"}
 _CLAUSES = {
-    "motors-coupled": "the motors of {joints} are coupled",
+    "motors-coupled": "{columns} of {joints} are those of coupled motors",
     "time-reversed": "time runs backwards: friction drives the motion",
     "position-scaled": "the position of {joints} is {factor:.3g} times its own{too}",
     "gravity-opposite": "gravity has the opposite sign",
@@ -211,5 +213,9 @@ _REMEDIES = {
     "joints-exchanged": "check the order of the columns, and of the joints in the robot file",
     "time-reversed": "check the order of the rows and their stamps",
     "position-scaled": "check its gear ratio and encoder counts",
-    "motors-coupled": "state it under `model.coupling` of the robot file",
+}
+_UNCOUPLED = {
+    "torque": "state `model.coupling` in the robot file",
+    "position": "convert the positions to the joints' own",
+    "both": "state `model.coupling` in the robot file and convert the positions to the joints' own",
 }

@@ -19,7 +19,7 @@ from ident.assessment.file_errors.model_errors import simplest_first
 from ident.assessment.file_errors.refit import Refit
 from ident.assessment.file_errors.unknowns import Unknown, tangents
 from ident.assessment.instants import BLOCKS, Columns, Instants, instants
-from ident.assessment.mistakes.checks import mistake_checks
+from ident.assessment.mistakes.checks import _check, mistake_checks
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, on_active
 from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
@@ -113,6 +113,18 @@ def test_each_mistake_is_what_explains_the_data_or_stays_among_those_that_do(fou
     # Signs of a torque and of a position differ by the sign of both, which the first joint does not show.
     joints = {joint for one in said for joint in one.joints}
     assert (mistake.name, mistake.joints) in alike or joints <= {*mistake.joints, 0}
+
+
+@pytest.mark.parametrize("signal", ["torques", "positions"])
+def test_of_coupled_motors_the_remedy_is_that_of_what_was_recorded(found, signal):
+    """`model.coupling` converts torques only."""
+    few = light(found)
+    torque = few.torque - np.array([[0.0], [0.0], [1.0]]) * few.torque[1]
+    spoilt = few.less(1, 2, -1.0) if signal == "positions" else replace(few, torque=torque)
+    check = _check(found.model, explanations(competition(found, spoilt), []), ())
+    assert check.name == "motors-coupled"
+    assert f"the {signal} of {' and '.join(found.model.joint_names[1:])} seem to be those of coupled" in check.text
+    assert ("model.coupling" in check.text) == (signal == "torques") != ("convert the positions" in check.text)
 
 
 def test_a_sound_recording_is_explained_as_it_is(found):
