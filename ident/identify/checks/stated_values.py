@@ -57,7 +57,8 @@ def stated_value_checks(
     likely = np.array([masses, masses.sum() * even, size.expected * even, stated])
     denied = {text.split(" ")[0] for text in contradicted}
     wrong = [
-        f"{key} = {least if np.isfinite(least) else most:.4g} {unit} (plausible: {rounded(low)} to {rounded(high)})"
+        f"{key} {'=' if least == most else 'is at least' if least > high else 'is at most'} "
+        f"{least if least > high else most:.4g} {unit} (plausible: {rounded(low)} to {rounded(high)})"
         for key, unit, (least, most), (low, high) in _stated(model, robot_file, likely)
         if key not in denied and (least > high or most < low)
     ]
@@ -95,9 +96,10 @@ def _stated(
 
 
 def _joint_bound(model: DynamicModel, parameter: StandardParameter) -> float:
-    """Value of a joint's parameter at which it takes `OF_LIMIT` of the torque limit; infinite where none is stated."""
+    """Value of a joint's parameter at which it takes `OF_LIMIT` of the torque limit; infinite where none is."""
     if parameter.joint not in model.active:
         return np.inf
     limits = model.limits[model.active.index(parameter.joint)]
     signals = {"coulomb": 1.0, "offset": 1.0, "viscous": limits.velocity, "motor_inertia": limits.acceleration}
-    return OF_LIMIT * (limits.torque or np.inf) / signals.get(parameter.kind, 1e-9)
+    signal = signals.get(parameter.kind)
+    return np.inf if signal is None else OF_LIMIT * (limits.torque or np.inf) / signal
