@@ -34,7 +34,7 @@ MOVES = 0.1
 """Range of positions [rad or m] from which on a joint counts as moving there."""
 
 MOST_SHOWN = 4
-"""Jumps, or standstills of encoders, that a sentence lists."""
+"""Jumps, standstills, or joints whose signals wrap, that a sentence lists."""
 
 FROZEN, FROZEN_ROWS, FROZEN_MOVES = 0.5, 20.0, 0.1
 """Time [s] of one value from which on a motor signal stands still, in how many times the usual run of one value, and
@@ -75,7 +75,7 @@ def jump_checks(jumps: Sequence[PositionJump], first: float, of: str = "") -> li
 
 
 def column_checks(recording: Recording, of: str = "") -> list[Check]:
-    """Motor signals that are the motion or each other, and positions that are the velocity."""
+    """Motor signals that are the motion or each other, stand still or wrap, and positions that are the velocity."""
     stream = recording.streams.get(JOINTS_STREAM)
     if stream is None or "position" not in stream.channels or len(stream.time) < 2:
         return []
@@ -138,15 +138,15 @@ def _motor_checks(
             f"{joint} from {time[a] - time[0]:.1f} to {time[b] - time[0]:.1f} s" for joint, (a, b) in frozen.items()
         ]
         text = (
-            f"{of}the {signal} stands still while its joint moves: {'; '.join(shown)}: its bus or sensor failed; "
-            "identify without this time (--start, --stop), or leave the joint's torque out (--torques-of)"
+            f"{of}the {signal} stands still while its joint moves: {first_few(shown, MOST_SHOWN, '; ')}: its bus or "
+            "sensor failed; identify without this time (--start, --stop), or leave this torque out (--torques-of)"
         )
         checks.append(raised("torque-frozen", text, frozen))
     wraps = [joint for j, joint in enumerate(joints) if _wraps(values[:, j], position[:, j])]
     if wraps:
         text = (
-            f"{of}the {signal} of {', '.join(wraps)} jumps from one end of its range to the other: it overflows; "
-            "record it with more bits, or add its range where it jumps"
+            f"{of}the {signal} of {first_few(wraps, MOST_SHOWN)} jumps from one end of its range to the other: it "
+            "overflows; record it with more bits, or add its range where it jumps"
         )
         checks.append(raised("torque-wraps", text, wraps))
     return checks

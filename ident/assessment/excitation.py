@@ -30,11 +30,11 @@ from ident.signals.segments import played_window
 class RecordedMotion:
     """A recorded motion beside the model of its arm."""
 
-    robot_file: RobotFile  # of the arm
-    model: DynamicModel  # of the arm
-    base: BaseParameters  # its base parameters
-    kernel: RegressorKernel  # of their columns
-    positions: JointPositions  # as recorded
+    robot_file: RobotFile  # robot file of the arm
+    model: DynamicModel  # dynamic model of the arm
+    base: BaseParameters  # base parameters of the model
+    kernel: RegressorKernel  # regressor of the base parameters' columns
+    positions: JointPositions  # positions as recorded
     measured: JointSignals | None  # positions and torques as recorded; None where no torque is known
     # the played motion by the default choices, torque not shifted; the torque is 0 where none is known
     prepared: Prepared

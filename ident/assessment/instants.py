@@ -63,9 +63,9 @@ class Instants:
     temperature: FloatArray | None = None  # (n, N) [K]; None where none was recorded
     # (n, c, N) columns of no link, filtered like the torque; None where the positions are others
     friction: FloatArray | None = None
-    friction_columns: tuple[int, ...] = ()  # (c,) standard columns of these
-    tracks: tuple[Track, ...] = ()  # that the instants are taken from
-    track: npt.NDArray[np.int64] | None = None  # (N,) index of each instant's
+    friction_columns: tuple[int, ...] = ()  # (c,) standard columns of `friction`
+    tracks: tuple[Track, ...] = ()  # segments that the instants are taken from
+    track: npt.NDArray[np.int64] | None = None  # (N,) index of each instant's track
 
     @property
     def motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:

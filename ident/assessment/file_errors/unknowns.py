@@ -26,8 +26,8 @@ Kind = Literal["gain", "gains", "length", "scale", "lengths", "zero", "late", "g
 class Unknown:
     """A number of the robot file, or gravity's direction."""
 
-    # of it; `late` is a joint's position against all else that was recorded, `scale` is a factor common to all lengths,
-    # `lengths` are all that the data show, together, and `gains` all but that of `joint`
+    # kind of the unknown; `late` is a joint's position against all else that was recorded, `scale` is a factor common
+    # to all lengths, `lengths` are all that the data show, together, and `gains` all but that of `joint`
     kind: Kind
     # number in the tree for a length, among the motors for a gain, a zero or a late position, -1 for gravity and all
     # lengths

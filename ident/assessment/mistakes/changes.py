@@ -81,7 +81,7 @@ What = Literal["gain", "gains", "zero", "load", "friction"]
 class Change:
     """Something that is different in a part of the recording."""
 
-    what: What  # it is
+    what: What  # kind of the change
     joint: int  # index; -1 where it is of the whole arm
     start: float | None  # part of the recording after which it is so; None where it grows from the beginning to the end
     before: bool  # it is so up to `start`, or fades to nothing, instead
@@ -92,7 +92,7 @@ class Change:
 class FittedChange:
     """A change as it was estimated."""
 
-    change: Change  # which
+    change: Change  # change that was estimated
     value: float  # factor of the torque minus 1, or its growth over the recording; shift [rad or m]; of a load 0
     level: float  # Σ log of the joints' relative squared residuals
     likelihood: float  # doubled log-likelihood ratio, the equations being independent

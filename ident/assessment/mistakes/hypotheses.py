@@ -30,8 +30,8 @@ class Mistake:
 
     name: str  # of the check that names it; empty for the recording as it is
     signal: Signal  # whose columns are wrong
-    joints: tuple[int, ...]  # whose columns are wrong
-    # torques, positions: to take instead
+    joints: tuple[int, ...]  # indices of the joints whose columns are wrong
+    # columns that the torques and the positions are taken from instead
     torques: Columns
     positions: Columns
     # factor with which the second joint's motion turns the first one's motor; 0 of all other mistakes. Torques are the

@@ -18,6 +18,7 @@ from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile
+from drivers.core.errors import ImportFileError
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +51,16 @@ def test_degrees_by_option_spare_prismatic_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(content(recording)["velocity"], arrays["qd"], rtol=1e-14)
     assert "position converted from deg: shoulder, elbow" in messages(recording)
     assert "prismatic joints not converted from degrees: wrist" in messages(recording)
+
+
+@pytest.mark.parametrize(("factor", "unit", "hint"), [(1e3, "mm", r"q1 \[mm\]"), (1e7, "encoder counts", "convert")])
+def test_a_sliding_joint_in_another_unit_is_refused_with_its_name(
+    tmp_path: Path, factor: float, unit: str, hint: str
+) -> None:
+    arrays = samples()
+    path = write_csv(tmp_path, {"t": arrays["t"], "q": arrays["q"] * np.array([1.0, 1.0, factor])})
+    with pytest.raises(ImportFileError, match=f"(?s)it looks like {unit}.*{hint}"):
+        import_file(path, make_robot("prismatic"), ImportChoices())
 
 
 def test_units_in_the_header_are_honoured(tmp_path: Path, robot: RobotFile) -> None:
