@@ -136,6 +136,10 @@ def read_open_recording(file: Any, path: Path, part: tuple[float, float] | None 
     """
     try:
         return _read(file, path, part)
+    except (UnicodeDecodeError, UnicodeEncodeError) as error:
+        text = error.object[max(0, error.start - 20) : error.end + 20]
+        said = f"holds text that is not UTF-8: {text!a}"
+        raise RecordingError(said, where=str(path), hint="write its names and attributes as UTF-8") from error
     except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
         # h5py raises any of these on objects of another kind or on broken structures.
         raise RecordingError(
@@ -210,16 +214,9 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
 
 
 def _text(owner: Any, name: str) -> str:
-    """An attribute of a file, a group or a dataset as text; empty where there is none."""
+    """An attribute of a file, a group or a dataset; empty where there is none. UnicodeError where it is not UTF-8."""
     value = owner.attrs.get(name, "")
-    try:
-        return value.decode() if isinstance(value, bytes) else str(value).encode().decode()
-    except UnicodeError as error:
-        raise RecordingError(
-            f"its attribute '{name}' holds text that is not UTF-8",
-            where=f"{owner.file.filename}: {owner.name}",
-            hint="write the attribute again, as UTF-8",
-        ) from error
+    return value.decode() if isinstance(value, bytes) else str(value).encode().decode()
 
 
 def _read_speed_scale(value: Any) -> float:

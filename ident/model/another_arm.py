@@ -34,9 +34,8 @@ def another_arm(own: RobotFile, theirs: RobotFile) -> str:
         for part in ("rotation", "translation", "axis"):
             same = same and np.allclose(getattr(joint, part), getattr(other, part), atol=SAME_PLACE)
         if not same:
-            than = f" than in {first.name}" if second.name != first.name else ""
-            which = second.name if than else f"another {second.name}"
-            return f"is of {which}, whose joint {other.name} is placed differently{than}"
+            which = f"another {second.name}" if second.name == first.name else f"{second.name}, not of {first.name}"
+            return f"is of {which}: joint {other.name} is placed differently"
     return ""
 
 

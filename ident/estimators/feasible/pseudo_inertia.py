@@ -67,11 +67,7 @@ class Body(Stored):
 
 
 def body_of(link: FloatArray) -> Body:
-    """The body that ten standard parameters (10,) describe.
-
-    Raises:
-        ModelError: its mass is not positive.
-    """
+    """The body that ten standard parameters (10,) describe; ModelError where its mass is not positive."""
     pseudo = pseudo_inertia(link)
     mass = float(pseudo[3, 3])
     if not mass > 0.0:
