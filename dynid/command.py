@@ -169,8 +169,7 @@ def _status(as_json: bool) -> int:
             warnings.simplefilter("always", DynidWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
             for argument in sys.argv[1:]:
-                # A path may lead through folders of any name: what is written holds file names alone.
-                folder, name = os.path.split(argument)
+                folder, name = os.path.split(argument)  # a folder may have any name: files hold names without it
                 check_utf8(name if os.path.isdir(folder.partition("=")[2] or folder) else argument, UsageError)
             status = build_app(*sys.argv[1:2])(prog_name="dynid", standalone_mode=False)
     except DynidError as error:

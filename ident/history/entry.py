@@ -130,12 +130,9 @@ def _time(used: Sequence[UsedRecording], path: Path) -> float:
         try:
             starts.append(_plausible(parse_time(recording.started), path))
         except (ValueError, OverflowError):
-            said = f"'{recording.started}'" if recording.started else "nothing"
-            raise ResultFileError(
-                f"does not state when '{recording.file}' was recorded: {said}",
-                where=str(path),
-                hint=f"identify again with this version of dynid, or {_STATE_TIME}",
-            ) from None
+            said = f"does not state when '{recording.file}' was recorded: {recording.started or 'nothing'}"
+            hint = f"identify again with this version of dynid, or {_STATE_TIME}"
+            raise ResultFileError(said, where=str(path), hint=hint) from None
     if not starts:
         raise ResultFileError("names no recording, so its time is not known", where=str(path), hint=_STATE_TIME)
     return sum(starts) / len(starts)
