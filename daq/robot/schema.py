@@ -410,10 +410,9 @@ class Robot(Section):
             raise SeveralProblems(problems)
         if contradictions := known_problems(self.known):
             raise SeveralProblems(contradictions)
-        if motorless := [name for name in driven if name in passive]:
-            raise ValueError(
-                f"'drives' names joint '{motorless[0]}', but by 'model.loops' it is passive: it has no motor"
-            )
+        for name in driven:
+            if name in passive:
+                raise ValueError(f"'drives' names joint '{name}', but by 'model.loops' it is passive: it has no motor")
         check_coupling(self.model.coupling, self.joint_names, passive)
         paired = [drive.joint for drive in self.drives if drive.pair_inertia]
         paired += [name for name, friction in self.friction.joints.items() if friction.pair is not None]

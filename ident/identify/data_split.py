@@ -24,10 +24,9 @@ from ident.signals.sample_hashes import HashArray, check_counted_once, kept_hash
 from ident.signals.segments import played_window
 
 MOVES, JUMBLED, LAGS, ALIKE = 0.1, 0.3, 20, 0.5
-"""Range of positions [rad or m] from which on a joint moves. Rows are in disorder where its median change per row, over
-the positions' standard deviation, is beyond `JUMBLED` (independent rows make 0.9), and its mean squared changes over 1
-to `LAGS` rows are alike, the least over the largest: in time's order 0.36 at most in 10 000 motions of 60 rows or
-more that are sampled too slowly, in disorder 0.58 and more of 200 rows."""
+"""Range of positions [rad or m] from which on a joint moves. Rows are in disorder where its median change per row over
+the positions' standard deviation is beyond `JUMBLED` (independent rows: 0.9) and the least of its mean squared changes
+over 1 to `LAGS` rows beyond `ALIKE` of the largest: 0.36 at most of slow rows in order, 0.58 at least of shuffled."""
 
 FASTEST = 500.0
 """Median speed [rad/s or m/s] that no arm has; in degrees per second it is 9 rad/s."""

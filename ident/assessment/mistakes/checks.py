@@ -132,10 +132,8 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
     first = found[0]
     joints = {joint for one in found for joint in one.joints} | {turn.unknown.joint for turn in turns}
     names = [model.joint_names[joint] for joint in sorted(joints)]
-    if (
-        first.coupling
-        and len({one.joints if one.coupling else None for one in found}) <= len(joints) == len(names) == 2
-    ):
+    pairs = {one.joints if one.coupling else None for one in found}
+    if first.coupling and len(pairs) <= len(names) == 2:
         signals = list(dict.fromkeys(one.signal for one in found if one.coupling))
         text = (
             f"{' or '.join(_IN_COLUMNS[signal] for signal in signals)} of {' and '.join(names)} seem to be those of "
@@ -171,8 +169,7 @@ def _clause(model: DynamicModel, one: Mistake) -> str:
     names = " and ".join(model.joint_names[joint] for joint in one.joints)
     factor, torque = 1.0 / max(one.positions.factor, key=_size), 1.0 / max(one.torques.factor, key=_size)
     too = f" and its torque {torque:.3g} times" if torque != 1.0 else ""
-    values = {"joints": names, "factor": factor, "too": too, "columns": _IN_COLUMNS.get(one.signal)}
-    clause = _CLAUSES[one.name].format(**values)
+    clause = _CLAUSES[one.name].format(joints=names, factor=factor, too=too, columns=_IN_COLUMNS.get(one.signal))
     each = one.name in ("torque-sign", "position-scaled") and one.joints[1:]
     return clause.replace("the ", "each ", 1) if each else clause
 

@@ -101,5 +101,4 @@ def _joint_bound(model: DynamicModel, parameter: StandardParameter) -> float:
         return np.inf
     limits = model.limits[model.active.index(parameter.joint)]
     signals = {"coulomb": 1.0, "offset": 1.0, "viscous": limits.velocity, "motor_inertia": limits.acceleration}
-    signal = signals.get(parameter.kind)
-    return np.inf if signal is None else OF_LIMIT * (limits.torque or np.inf) / signal
+    return OF_LIMIT * (limits.torque or np.inf) / signals[parameter.kind] if parameter.kind in signals else np.inf
