@@ -26,7 +26,7 @@ from ident.signals.segments import played_window
 MOVES, JUMBLED, LAGS, ALIKE = 0.1, 0.3, 20, 0.5
 """Range of positions [rad or m] from which on a joint moves. Rows are in disorder where its median change per row over
 the positions' standard deviation is beyond `JUMBLED` (independent rows: 0.9) and the least of its mean squared changes
-over 1 to `LAGS` rows beyond `ALIKE` of the largest: 0.36 at most of slow rows in order, 0.58 at least of shuffled."""
+over 1 to `LAGS` rows beyond `ALIKE` of the largest: 0.36 at most of rows in order, 0.58 at least of 200 shuffled."""
 
 FASTEST = 500.0
 """Median speed [rad/s or m/s] that no arm has; in degrees per second it is 9 rad/s."""
