@@ -50,6 +50,13 @@ class Motion(Protocol):
         """Its smooth parts, with bounds of its derivatives; `daq.motion.limits` encloses its extremes by them."""
 
 
+def sampled(motion: Motion, rate: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times (N,) from the start [s], positions and velocities (N, n), at `rate` [Hz], none after the motion's end."""
+    time = np.arange(int(motion.duration * rate + 1e-6) + 1) / rate
+    position, velocity, _ = motion.evaluate(time)
+    return time, np.ascontiguousarray(position.T), np.ascontiguousarray(velocity.T)
+
+
 class Oscillation(Motion, Protocol):
     """A motion that goes on before 0 and after `duration`."""
 

@@ -57,6 +57,9 @@ _LOOKS = 997
 
 Row = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=int(COEFFICIENTS.most))]
 Rows = Annotated[tuple[Row, ...], Field(min_length=1)]
+CSV_RATE = 50.0
+"""[Hz] of rows of a motion as a table: what serial servos are commanded at."""
+
 Duration = Annotated[float, Field(gt=0, allow_inf_nan=False), AfterValidator(within(PIECE)), NotTruthValue]
 Ramp = Annotated[Finite, Field(ge=SHORTEST_RAMP, description="[s] from rest to full speed, and back")]
 

@@ -279,4 +279,4 @@ def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
     first, last = replace(run, start=start, stop=border), replace(run, start=border)
     # less than all may be coarse values of a periodic motion
     shared = overlap(last.hashes, [kept_hashes(first.hashes)])
-    return first, replace(last, overlap=1.0 if shared >= 1.0 else 0.0)
+    return first, replace(last, overlap=1.0) if shared >= 1.0 else last

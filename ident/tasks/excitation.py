@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.motion.trajectories import Motion
-from daq.motion.trajectory_file import SamplesTrajectory, Trajectory, dump_trajectory, parse_trajectory
+from daq.motion.trajectory_file import CSV_RATE, SamplesTrajectory, Trajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, fingerprint, load_robot, parse_robot
@@ -38,9 +38,6 @@ from ident.result.tables import Table, table_of_rows
 from ident.servo.result import read_servo_result
 from ident.tasks.arguments import PagedResult, write_text
 from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions, SweepOptions
-
-CSV_RATE = 50.0
-"""[Hz] of rows of a motion as a table: what serial servos are commanded at."""
 
 
 class ExcitationTrajectory(PagedResult):

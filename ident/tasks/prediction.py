@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from daq.motion.trajectories import sampled
+from daq.motion.trajectory_file import load_trajectory
 from daq.plotting import Backend
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
@@ -32,7 +34,6 @@ from ident.result.models.model import Model
 from ident.result.result_file import stored_model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.arguments import PagedResult, is_trajectory, recording_of
-from ident.tasks.excitation import load_trajectory
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.options import PredictOptions
 
@@ -251,12 +252,9 @@ def predict(options: PredictOptions) -> Prediction:
 
 def _planned(trajectory: str | PathLike[str], robot_file: RobotFile) -> Recording:
     """The motion of a trajectory file as if an arm had followed it exactly: positions and velocities, no torque."""
-    motion = load_trajectory(trajectory, robot_file)
-    time = np.arange(int(motion.duration * PLANNED_RATE + 1e-6) + 1) / PLANNED_RATE
-    position, velocity, _ = motion.evaluate(time)
-    return replace(
-        Recording.from_dict(robot_file, {"t": time, "q": position, "dq": velocity}), path=path_of(trajectory)
-    )
+    path = path_of(trajectory)
+    time, position, velocity = sampled(load_trajectory(path, robot_file.robot).motion, PLANNED_RATE)
+    return replace(Recording.from_dict(robot_file, {"t": time, "q": position, "dq": velocity}), path=path)
 
 
 def model_of(

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from daq.motion.trajectories import sampled
+from daq.motion.trajectory_file import CSV_RATE, load_trajectory
 from daq.output_files import check_outputs, replace_files
 from daq.plotting import Backend
 from daq.recording.commanded_motion import TARGET, CommandedMotion
@@ -38,7 +40,6 @@ from ident.servo.simulators import isaaclab, mjcf, usd
 from ident.servo.simulators.actuator_law import ServoReplay, law_paths, left_out, nearest_file
 from ident.servo.terms import INDEX, TERMS
 from ident.tasks.arguments import GradedResult, Run, Runs, held_out_of, recording_of, recordings_of
-from ident.tasks.excitation import CSV_RATE, load_trajectory
 from ident.tasks.options import silent
 
 
@@ -147,9 +148,8 @@ class ServoModel(GradedResult):
             UsageError: it cannot be read, or is of another arm.
             DataError: it lasts less than 3 s.
         """
-        motion = load_trajectory(trajectory, self._robot)
-        time = np.arange(int(motion.duration * CSV_RATE + 1e-6) + 1) / CSV_RATE
-        return self.simulate(time, motion.evaluate(time)[0])
+        time, position, _ = sampled(load_trajectory(path_of(trajectory), self._robot.robot).motion, CSV_RATE)
+        return self.simulate(time, position)
 
     def validate(self, runs: Runs, *, model_file: str | PathLike[str] | None = None) -> ServoModel:
         """The same model judged on other recordings.
