@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NoReturn, Self
 
 from daq.robot.schema import Robot
 from daq.session.connections import keys_of_driver
@@ -142,6 +142,10 @@ class FaultyServer(Server):
     def obey(self, line: str) -> None:
         """Request a typed fault."""
         self.cause(parse_fault(line, self._kind, self.joints, self._known_faults))
+
+    def _not_caused(self, fault: Fault) -> NoReturn:
+        """Raise at a fault that its table lists and no case causes, which is an error of the server itself."""
+        raise AssertionError(f"{self._kind} does not cause its fault '{fault.word}'")
 
     def _new_faults(self) -> list[Fault]:
         """The faults requested since the last call."""

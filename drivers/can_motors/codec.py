@@ -53,7 +53,7 @@ class MotorCodec(ABC):
     """
 
     fd: ClassVar[bool] = False  # whether frames are of CAN FD
-    told: ClassVar[tuple[str, ...]] = ()  # what it tells in every cycle, where that is the same in any case
+    reported: ClassVar[tuple[str, ...]] = ()  # what it reports in every cycle, where that is the same in any case
     keeps: ClassVar[tuple[str, ...]] = ()  # which of torque, speed and current limit it keeps (of `MotorAddress`)
     times_out: ClassVar[bool] = True  # whether a program can make it let go where commands fail to come
     gains: ClassVar[bool] = True  # whether kp and kd are sent, not configured in the motor
@@ -68,7 +68,7 @@ class MotorCodec(ABC):
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
         """Return what it tells in every cycle; first of all `position`."""
-        return self.told
+        return self.reported
 
     @abstractmethod
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:

@@ -99,7 +99,7 @@ class MitCodec(MotorCodec):
 class DamiaoCodec(MitCodec):
     """Damiao DM motors; `MotorAddress.host` is the master id that the motor answers on."""
 
-    told = ("position", "velocity", "torque", "temperature", "drive_temperature")
+    reported = ("position", "velocity", "torque", "temperature", "drive_temperature")
     registers: ClassVar[Mapping[str, int]] = {
         "torque_constant": 1,
         "master_id": 7,
@@ -159,7 +159,7 @@ class DamiaoCodec(MitCodec):
 class CubemarsCodec(MitCodec):
     """CubeMars AK motors in MIT mode; `MotorAddress.host` is the identifier that they answer on."""
 
-    told = ("position", "velocity", "torque", "temperature")
+    reported = ("position", "velocity", "torque", "temperature")
     times_out = False
 
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:

@@ -22,7 +22,7 @@ MOST_SPEED, MOST_CURRENT = 1e4, 1e3
 class OdriveCodec(MotorCodec):
     """ODrive axes: its cascade of a position and a velocity loop is a spring and a damper without its integrator."""
 
-    told = ("position", "velocity", "torque", "temperature", "drive_temperature")  # temperatures as reported last
+    reported = ("position", "velocity", "torque", "temperature", "drive_temperature")  # temperatures as reported last
     keeps = ("speed_limit", "current_limit")
     times_out = False
     unasked = True

@@ -96,7 +96,7 @@ class BusServer(FaultyServer):
                 for _ in range(count):
                     self._spread(bus, self._random_frame(), now)
             case _:
-                raise NotImplementedError(f"{self._kind}: {fault.word}")
+                self._not_caused(fault)
 
     def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
         """Send a frame that is no device's."""

@@ -250,7 +250,7 @@ class RtdeServer(FaultyServer):
             case Fault("drift", (joint, velocity)):
                 self.controller.drift(joint, velocity)
             case _:
-                raise NotImplementedError(f"{self._kind}: {fault.word}")
+                self._not_caused(fault)
 
     def _attend(self, timeout: float) -> None:
         """Read and write where sockets are ready, waiting for them at most `timeout` [s]."""

@@ -328,7 +328,7 @@ class SerialServoServer(FaultyServer):
                 self._plugged = False
                 self._line.pull_out()
             case _:
-                raise NotImplementedError(f"{self._kind}: {fault.word}")
+                self._not_caused(fault)
         self.plant.changed()
 
     def _read(self) -> bytes:

@@ -156,7 +156,7 @@ class ThermometerServer(FaultyServer):
             case Fault("replug", ()):
                 self.replug()
             case _:
-                raise NotImplementedError(f"{self._kind}: {fault.word}")
+                self._not_caused(fault)
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"thermometer": self._send}
