@@ -26,11 +26,11 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 ENDLESS = """
-import time
+import signal
 from drivers.core.child_process import end_with_parent
 end_with_parent()
 other.send(7)
-time.sleep(600)
+signal.pause()
 """
 
 
